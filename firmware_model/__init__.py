@@ -1,0 +1,1 @@
+"""What runs on the processing unit. It gets pixels, times and commands, never the truth."""

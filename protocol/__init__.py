@@ -1,0 +1,1 @@
+"""The wire: messages and bytes. Sans-IO; imports nothing else of the project."""
