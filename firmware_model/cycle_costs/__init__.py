@@ -1,0 +1,1 @@
+"""Cycle coefficients of processors, one JSON file each (read by ``processor.py``)."""

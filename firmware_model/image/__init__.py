@@ -1,0 +1,1 @@
+"""From pixels to spots: adaptive threshold, run-length clustering, centre-of-mass centroids."""

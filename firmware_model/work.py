@@ -1,0 +1,149 @@
+"""Work: what the stages count. Cycles are computed from these counts in ``processor.py`` and nowhere else.
+
+Every stage is ``stage(input, parameters) -> (output, Work)``. A count has a name, belongs to one stage, and
+its definition here says what one of it is; a processor profile says what one of it costs.
+To add a count: one line in ``_DEFINITIONS`` and one coefficient in each file of ``cycle_costs/``
+(a test holds the two equal).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+__all__ = ["COUNTS", "STAGES", "CountDefinition", "Work"]
+
+STAGES: Final = (
+    "threshold",  # pixels against the local background, full frame or windows
+    "clustering",  # runs to clusters
+    "centroid",  # clusters to spots and unit vectors
+    "identification",  # lost in space
+    "tracking",  # prediction, windows, verification by the pivot
+    "attitude",  # vectors to quaternion, covariance
+    "telemetry",  # packets out, telecommands in
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CountDefinition:
+    """One kind of work: its stage and what one of it is."""
+
+    name: str
+    stage: str
+    meaning: str
+
+
+_DEFINITIONS: Final = (
+    # threshold
+    ("noise_samples", "threshold", "pixel pair whose difference goes into the noise estimate, all passes"),
+    ("background_pixels", "threshold", "pixel added to the moving average of the background"),
+    ("threshold_pixels", "threshold", "pixel compared with the threshold, full frame"),
+    ("window_pixels", "threshold", "pixel of a detection window: background, smoothing and threshold"),
+    ("windows", "threshold", "detection window set up"),
+    # clustering
+    ("runs", "clustering", "run of pixels over threshold put into the run table"),
+    ("run_unions", "clustering", "pair of touching runs joined (union-find)"),
+    ("clusters", "clustering", "cluster with its sums completed"),
+    # centroid
+    ("centroid_stars", "centroid", "centre of mass computed once (its divisions), each pass counts"),
+    ("centroid_pixels", "centroid", "pixel weighted into a centre of mass, each pass counts"),
+    ("centroid_background_pixels", "centroid", "pixel of the ring round a spot for its local background"),
+    ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
+    ("unit_vectors", "centroid", "pixel position turned to a unit vector, distortion removed"),
+    # identification
+    ("kvector_queries", "identification", "range query of the pair catalogue by its k-vector"),
+    ("kvector_hits", "identification", "pair returned by a range query"),
+    ("angles_computed", "identification", "dot product of two measured unit vectors"),
+    ("pairs_compared", "identification", "pair of two range query results compared for a common star"),
+    ("triads_tested", "identification", "triad of spots tried (smart order)"),
+    ("triangles_tested", "identification", "catalogue triangle candidate tested against its third side"),
+    ("pyramids_tested", "identification", "catalogue triangle tested with a fourth (pyramid) spot"),
+    ("candidates_marked", "identification", "entry of a per-star mark table written, read or cleared"),
+    ("votes", "identification", "vote cast or read"),
+    ("magnitudes_compared", "identification", "measured brightness compared with the catalogue or another"),
+    ("catalogue_angles", "identification", "dot product of two catalogue unit vectors"),
+    ("spots_confirmed", "identification", "further spot matched to a catalogue star"),
+    ("trial_stars_projected", "identification", "catalogue star projected with a trial attitude"),
+    # tracking
+    ("neighbours_read", "tracking", "entry of the neighbour table read"),
+    ("predicted_stars_tested", "tracking", "catalogue star rotated, four-plane test R (3)-(4)"),
+    ("predicted_stars_projected", "tracking", "predicted star projected to pixels"),
+    ("windows_planned", "tracking", "window sized, clipped, compared with one other for merging"),
+    ("angles_verified", "tracking", "angle between two spots compared with the catalogue's, R step 5"),
+    ("pivots_tried", "tracking", "star tried as pivot"),
+    ("spots_assigned", "tracking", "distance of a spot to a predicted star computed"),
+    # attitude
+    ("qmethod_stars", "attitude", "star summed into the attitude profile matrix"),
+    ("qmethod_solves", "attitude", "largest eigenvector of the 4 x 4 matrix"),
+    ("residual_stars", "attitude", "star's residual computed with the attitude"),
+    ("covariance_stars", "attitude", "star summed into the information matrix"),
+    ("covariance_solves", "attitude", "3 x 3 inversion"),
+    ("aberrated_stars", "attitude", "catalogue direction turned to apparent (aberration)"),
+    ("observer_velocities", "attitude", "velocity of the Earth computed from time"),
+    ("rate_solves", "attitude", "angular rate from two attitudes"),
+    # telemetry
+    ("telemetry_bytes", "telemetry", "byte written into a telemetry packet"),
+    ("crc_bytes", "telemetry", "byte put through the CRC"),
+    ("telecommand_bytes", "telemetry", "byte received and unstuffed"),
+    ("image_bytes", "telemetry", "byte of an image copied for download"),
+    ("frames", "telemetry", "frame handled at all: interrupts, mode logic, housekeeping"),
+)
+
+COUNTS: Final[Mapping[str, CountDefinition]] = {n: CountDefinition(n, s, m) for n, s, m in _DEFINITIONS}
+
+
+class Work:
+    """Counts of work done, by name. Addition of two works adds count by count."""
+
+    __slots__ = ("counts",)
+
+    def __init__(self, counts: Mapping[str, int] | None = None) -> None:
+        self.counts: dict[str, int] = {}
+        if counts:
+            for name, number in counts.items():
+                self.add(name, number)
+
+    def add(self, name: str, number: int = 1) -> None:
+        """Count ``number`` more of ``name``. KeyError: not in ``COUNTS``; ValueError: negative."""
+        if name not in COUNTS:
+            raise KeyError(f"{name!r} is no count of work; see firmware_model/work.py")
+        if number < 0:
+            raise ValueError(f"work cannot be negative: {name} = {number}")
+        self.counts[name] = self.counts.get(name, 0) + int(number)
+
+    def __getitem__(self, name: str) -> int:
+        if name not in COUNTS:
+            raise KeyError(f"{name!r} is no count of work; see firmware_model/work.py")
+        return self.counts.get(name, 0)
+
+    def __iadd__(self, other: Work) -> Work:
+        counts = self.counts
+        for name, number in other.counts.items():
+            counts[name] = counts.get(name, 0) + number
+        return self
+
+    def __add__(self, other: Work) -> Work:
+        total = Work()
+        total.counts = dict(self.counts)
+        total += other
+        return total
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Work):
+            return NotImplemented
+        names = self.counts.keys() | other.counts.keys()
+        return all(self.counts.get(name, 0) == other.counts.get(name, 0) for name in names)
+
+    __hash__ = None  # type: ignore[assignment]  # mutable
+
+    def by_stage(self) -> dict[str, dict[str, int]]:
+        """The counts that are not zero, grouped by stage, stages in their order."""
+        grouped: dict[str, dict[str, int]] = {stage: {} for stage in STAGES}
+        for name, number in self.counts.items():
+            if number:
+                grouped[COUNTS[name].stage][name] = number
+        return {stage: counts for stage, counts in grouped.items() if counts}
+
+    def __repr__(self) -> str:
+        return f"Work({self.counts!r})"
