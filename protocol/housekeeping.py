@@ -1,0 +1,94 @@
+"""Housekeeping parameter report structures of service 3: one table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .enumerations import HousekeepingId, Mode, Reason, ResetCause, SelfTest, TimeStatus
+from .fields import INT16, INT32, UINT8, UINT16, UINT32, Field
+
+MIN_INTERVAL_MS = 250
+MAX_INTERVAL_MS = 3_600_000
+
+
+@dataclass(frozen=True)
+class HousekeepingDefinition:
+    """One structure: its number and the parameters it reports, in the order of the wire."""
+
+    id: HousekeepingId
+    meaning: str
+    fields: tuple[Field, ...]
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.id.name
+
+
+HOUSEKEEPING_TABLE: tuple[HousekeepingDefinition, ...] = (
+    HousekeepingDefinition(
+        HousekeepingId.STATUS,
+        "mode, start, time and frame statistics",
+        (
+            Field("mode", UINT8, meaning="present mode", choices=Mode),
+            Field("reset_cause", UINT8, meaning="why the unit started", choices=ResetCause),
+            Field("boot_count", UINT16, meaning="starts of the unit so far"),
+            Field("uptime_ms", UINT32, "ms", meaning="time since the start"),
+            Field("time_status", UINT8, meaning="time reference status", choices=TimeStatus),
+            Field("self_test_result", UINT16, meaning="failed parts of the last self-test", choices=SelfTest),
+            Field("last_frame_index", UINT32, meaning="index of the last frame that was started"),
+            Field("last_reasons", UINT32, meaning="reasons of the last attitude report", choices=Reason),
+            Field("frames_processed", UINT32, meaning="frames processed since start or CLEAR_COUNTERS"),
+            Field("frames_valid", UINT32, meaning="of those, frames with a valid attitude"),
+            Field("frames_tracking", UINT32, meaning="of those, frames with a valid attitude from tracking"),
+            Field("frames_late", UINT32, meaning="frames that overran their budget"),
+            Field("frames_dropped", UINT32, meaning="frames that were not processed"),
+            Field("temperature_cdeg", INT16, "0.01 degC", meaning="detector temperature"),
+            Field("stored_parameters_valid", UINT8, "", 0, 1, "1: the stored parameters were whole at the start"),
+        ),
+    ),
+    HousekeepingDefinition(
+        HousekeepingId.LINK,
+        "counters of the command link since start or CLEAR_COUNTERS; they stop at their highest value",
+        (
+            Field("tc_received", UINT32, meaning="frames received, good or bad"),
+            Field("tc_accepted", UINT32, meaning="telecommands accepted"),
+            Field("tc_rejected", UINT32, meaning="telecommands rejected, for whatever reason"),
+            Field("crc_errors", UINT16, meaning="packets with wrong packet error control"),
+            Field("framing_errors", UINT16, meaning="frames with a bad escape sequence"),
+            Field("length_errors", UINT16, meaning="packets whose length does not match their length field"),
+            Field("oversized_frames", UINT16, meaning="frames longer than the receive buffer"),
+            Field("unknown_apid", UINT16, meaning="packets for another application process"),
+            Field("unknown_service", UINT16, meaning="telecommands of an unknown service or subservice"),
+            Field("sequence_gaps", UINT16, meaning="gaps in the sequence count of a source"),
+            Field("not_allowed_in_mode", UINT16, meaning="telecommands refused because of the mode"),
+            Field("bad_parameters", UINT16, meaning="telecommands refused because of their application data"),
+            Field("rx_bytes", UINT32, "byte", meaning="bytes received"),
+            Field("tx_bytes", UINT32, "byte", meaning="bytes sent"),
+            Field("tx_packets", UINT32, meaning="packets sent"),
+            Field("tx_queue_bytes", UINT32, "byte", meaning="bytes waiting to be sent now"),
+        ),
+    ),
+    HousekeepingDefinition(
+        HousekeepingId.TIMING,
+        "processor cycles of the last processed frame by stage",
+        (
+            Field("frame_index", UINT32, meaning="index of the frame"),
+            Field("cycles_total", UINT32, "cycle", meaning="all stages"),
+            Field("cycles_budget", UINT32, "cycle", meaning="available to the frame"),
+            Field("cycles_threshold", UINT32, "cycle", meaning="background and threshold"),
+            Field("cycles_clustering", UINT32, "cycle", meaning="run-length clustering"),
+            Field("cycles_centroid", UINT32, "cycle", meaning="centroids"),
+            Field("cycles_identification", UINT32, "cycle", meaning="star identification"),
+            Field("cycles_tracking", UINT32, "cycle", meaning="prediction and verification of windows"),
+            Field("cycles_attitude", UINT32, "cycle", meaning="attitude, residuals, covariance"),
+            Field("cycles_telemetry", UINT32, "cycle", meaning="telemetry"),
+            Field("margin_us", INT32, "us", meaning="time left at the end of processing; negative when late"),
+            Field("worst_cycles", UINT32, "cycle", meaning="largest total since start or CLEAR_COUNTERS"),
+            Field("clock_hz", UINT32, "Hz", meaning="clock of the processor"),
+        ),
+    ),
+)
+
+HOUSEKEEPING: dict[int, HousekeepingDefinition] = {int(entry.id): entry for entry in HOUSEKEEPING_TABLE}
+"""By number."""
