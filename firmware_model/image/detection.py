@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ..work import Work
-from .spots import Spots
+from . import centroid
+from .background import frame_statistics
+from .clustering import RUN_FIELDS, join_runs, sum_clusters, threshold_scan
+from .spots import Rejections, Spots
 
 __all__ = ["DetectionParameters", "detect"]
+
+
+_POSITIVE = (
+    "sigma_factor tau_min_dn window_sigma_factor exposure_s zero_point_dn_per_s min_pixels max_pixels "
+    "max_extent_px centroid_half_window_px average_pixels max_runs max_spots"
+).split()
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +31,7 @@ class DetectionParameters:
     tau_min_dn: float = 1.0  # and never less than this (paper M: tau_pre), DN
     min_pixels: int = 2  # clusters below this are dropped (paper M: isolated pixels)
     max_pixels: int = 2000  # clusters above this are no stars
+    max_extent_px: int = 128  # nor are clusters longer than this, on either axis
     centroid_half_window_px: int = 2  # the centre of mass is taken over +-(this + 0.5) px at least
     magnitude_limit: float = 99.0  # spots dimmer than this are dropped (paper R: < 6.9)
     zero_point_dn_per_s: float = 1.0e6  # DN/s of a magnitude 0 star
@@ -32,7 +43,133 @@ class DetectionParameters:
     max_spots: int = 1000  # spots handed on; the dimmest are dropped
     window_sigma_factor: float = 4.0  # threshold in detection windows, where a star is expected
 
+    def __post_init__(self) -> None:
+        for name in _POSITIVE:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+
+    def spot_limits(self) -> centroid.SpotLimits:
+        """The part that the measurement of spots needs, in the types that its compiled code expects."""
+        return centroid.SpotLimits(
+            int(self.centroid_half_window_px),
+            int(self.min_pixels),
+            int(self.max_pixels),
+            int(self.max_extent_px),
+            float(self.max_peak_fraction),
+            int(self.saturation_dn),
+            float(self.zero_point_dn_per_s * self.exposure_s),
+            float(self.magnitude_limit),
+        )
+
+
+@numba.njit(cache=True, nogil=True)
+def _detect(
+    image: NDArray[np.uint16],
+    sigma_factor: float,
+    tau_min_dn: float,
+    average_pixels: int,
+    max_runs: int,
+    limits: centroid.SpotLimits,
+    tally: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], float, float, int, int, int, int, bool]:
+    background, noise, samples = frame_statistics(image)
+    runs = np.empty((max_runs, RUN_FIELDS), np.int32)
+    run_background = np.empty(max_runs, np.float64)
+    row_start = np.empty(image.shape[0] + 1, np.int32)
+    over = max(sigma_factor * noise, tau_min_dn)
+    count, overflowed = threshold_scan(
+        image, background, over, average_pixels, runs, run_background, row_start
+    )
+    label = np.empty(count, np.int32)
+    clusters, unions = join_runs(runs, count, row_start, label)
+    table = sum_clusters(image, runs, count, run_background, label, clusters)
+    spots = np.empty((clusters, centroid.SPOT_FIELDS), np.float64)
+    outcome = np.empty(clusters, np.int8)
+    found = centroid.measure_spots(
+        image,
+        runs,
+        row_start,
+        label,
+        table,
+        noise,
+        True,
+        1,
+        limits,
+        spots,
+        outcome,
+        tally,
+    )
+    return spots[:found], background, noise, samples, count, unions, clusters, overflowed
+
+
+def spots_of_table(
+    table: NDArray[np.float64], rejected: Rejections, background_dn: float, noise_dn: float, overflowed: bool
+) -> Spots:
+    """Spots of a table ``float64[n, SPOT_FIELDS]`` as ``centroid.measure_spots`` fills it, order kept."""
+    return Spots(
+        x_px=np.ascontiguousarray(table[:, centroid.X]),
+        y_px=np.ascontiguousarray(table[:, centroid.Y]),
+        flux_dn=np.ascontiguousarray(table[:, centroid.FLUX]),
+        magnitude=np.ascontiguousarray(table[:, centroid.MAGNITUDE]),
+        peak_dn=np.ascontiguousarray(table[:, centroid.SPOT_PEAK]),
+        pixels=table[:, centroid.SPOT_PIXELS].astype(np.int32),
+        saturated=table[:, centroid.SATURATED] > 0.5,
+        at_edge=table[:, centroid.AT_EDGE] > 0.5,
+        background_dn=background_dn,
+        noise_dn=noise_dn,
+        rejected=rejected,
+        overflowed=overflowed,
+    )
+
+
+def sorting_work(spots: int) -> int:
+    """Comparisons of ordering n spots by brightness: n ceil(log2 n)."""
+    return spots * max(spots - 1, 0).bit_length()
+
 
 def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[Spots, Work]:
-    """Find the spots of a whole image. ``image``: ``uint16[rows, columns]`` DN."""
-    raise NotImplementedError
+    """Find the spots of a whole image. ``image``: ``uint16[rows, columns]`` DN.
+
+    Threshold: local background (moving average along a zigzag scan, paper M section 2.1) plus
+    max(``sigma_factor`` * noise of this frame, ``tau_min_dn``). Runs are joined to 8-connected clusters;
+    each cluster between ``min_pixels`` and ``max_pixels`` is measured (centre of mass, paper Z (1)-(3)) and
+    kept if its flux is brighter than ``magnitude_limit``. Spots come brightest first.
+    ``Spots.overflowed``: more runs than ``max_runs``; the spots are of the part scanned until then.
+    """
+    if image.ndim != 2 or image.dtype != np.uint16 or image.shape[1] < 2:
+        raise ValueError(f"an image is uint16[rows, columns >= 2], not {image.dtype}{list(image.shape)}")
+    tally = np.zeros(centroid.TALLIES, np.int64)
+    table, background, noise, samples, runs, unions, clusters, overflowed = _detect(
+        np.ascontiguousarray(image),
+        float(parameters.sigma_factor),
+        float(parameters.tau_min_dn),
+        int(parameters.average_pixels),
+        int(parameters.max_runs),
+        parameters.spot_limits(),
+        tally,
+    )
+    found = len(table)
+    order = np.argsort(-table[:, centroid.FLUX], kind="stable")[: parameters.max_spots]
+    counts = tally.tolist()
+    rejected = Rejections(
+        small=counts[centroid.SMALL],
+        large=counts[centroid.LARGE],
+        sharp=counts[centroid.SHARP],
+        edge=counts[centroid.EDGE],
+        faint=counts[centroid.FAINT],
+        surplus=found - len(order),
+    )
+    work = Work()
+    work.counts = {
+        "noise_samples": samples,
+        "background_pixels": image.size,
+        "threshold_pixels": image.size,
+        "runs": runs,
+        "run_unions": unions,
+        "clusters": clusters,
+        "centroid_stars": counts[centroid.PASSES],
+        "centroid_pixels": counts[centroid.WINDOW_PIXELS],
+        "centroid_background_pixels": counts[centroid.RING_PIXELS],
+        "spots_sorted": sorting_work(found),
+    }
+    return spots_of_table(table[order], rejected, background, noise, overflowed), work
