@@ -1,0 +1,100 @@
+"""What every identification algorithm takes and gives."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ..catalogue.pairs import PairCatalogue
+from ..catalogue.star_catalogue import StarCatalogue
+from ..reasons import Reason
+from ..work import Work
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class IdentificationParameters:
+    """Limits of an identification; angles in rad.
+
+    tolerance_rad: largest error of the angle between two spots, and of a spot against the solution.
+    max_spots: patterns are built from so many of the brightest spots; all spots are matched to a solution.
+    min_stars: a solution needs at least so many matched stars. A triangle alone is never valid, so 4 at
+        least.
+    field_normals: float64[4, 3], inward normals of the field's four planes in the sensor frame
+        (``CameraGeometry.field_normals``), to count the stars that the image should show; None: not counted.
+    least_seen_share: of the catalogue stars in the field that are brighter than the middle one of those
+        matched, at least this share must be matched.
+    magnitude_tolerance: a match is odd if its brightness is off by more than this from the median of the
+        matches; of fewer than 6 matches at most one may be odd. ASSUMED: 1.5, twice the largest error of
+        Zhang et al. 2014 (0.7).
+    most_false_solutions: a solution counts only if chance would give fewer solutions as good as it per image.
+    certain_false_solutions: below this the search ends; above it goes on and looks for a rival.
+    max_triads, max_pairs_compared: the limits of work.
+    """
+
+    tolerance_rad: float
+    max_spots: int = 20
+    min_stars: int = 4
+    field_normals: FloatArray | None = field(default=None, compare=False)
+    least_seen_share: float = 0.5
+    magnitude_tolerance: float = 1.5
+    most_false_solutions: float = 1e-5
+    certain_false_solutions: float = 1e-9
+    max_triads: int = 10_000
+    max_pairs_compared: int = 3_000_000
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.tolerance_rad < 0.1:
+            raise ValueError(f"tolerance_rad {self.tolerance_rad} is not between 0 and 0.1")
+        if self.min_stars < 4:
+            raise ValueError(f"min_stars {self.min_stars}: a triangle alone is never valid, 4 is the least")
+        if self.max_spots < 4:
+            raise ValueError(f"max_spots {self.max_spots}: a pyramid needs 4")
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Outcome of an identification.
+
+    star_index: int32[n], row of the star catalogue for each spot, -1 where none; all -1 unless reason is
+        NONE.
+    verified: number of spots with a star.
+    reason: NONE, or why nothing was identified: TOO_FEW_STARS, NO_MATCH, AMBIGUOUS or WORK_LIMIT.
+    q_icrs_to_sensor: float64[4], attitude from the matches at equal weights; None without a solution.
+    false_solutions: how many solutions as good as this one chance gives per image (inf without a solution).
+    expected: catalogue stars in the field that are brighter than the middle one of those matched; seen: of
+        these how many are matched. Both 0 where the field is not given.
+    """
+
+    star_index: IntArray
+    verified: int
+    reason: Reason
+    q_icrs_to_sensor: FloatArray | None = None
+    false_solutions: float = math.inf
+    expected: int = 0
+    seen: int = 0
+
+
+class IdentificationAlgorithm(Protocol):
+    """An identification algorithm: pure, and counting its work."""
+
+    def __call__(
+        self,
+        b_vectors: FloatArray,
+        magnitudes: FloatArray,
+        catalogue: StarCatalogue,
+        pair_catalogue: PairCatalogue,
+        parameters: IdentificationParameters,
+    ) -> tuple[Identification, Work]:
+        """b_vectors[n, 3]: unit vectors in the sensor frame, brightest first; magnitudes[n]: as measured."""
+
+
+def no_identification(spots: int, reason: Reason) -> Identification:
+    """The outcome without a solution."""
+    return Identification(np.full(spots, -1, np.int32), 0, reason)

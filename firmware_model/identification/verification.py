@@ -1,0 +1,334 @@
+"""Is a trial attitude the right one? All spots against the catalogue, and what the field should show.
+
+Shared by the identification algorithms: whichever found the trial, it is judged here.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from ..attitude import matrix_kernel, quaternion_kernel
+from ..catalogue.sky_cells import nearest_star_kernel, stars_in_cone_kernel
+from ..work import Work
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int32]
+CountArray = npt.NDArray[np.int64]
+
+# Places of the counts that the kernels keep; the names are those of work.py.
+COUNT_NAMES = (
+    "kvector_queries",
+    "kvector_hits",
+    "angles_computed",
+    "pairs_compared",
+    "triads_tested",
+    "triangles_tested",
+    "pyramids_tested",
+    "candidates_marked",
+    "magnitudes_compared",
+    "catalogue_angles",
+    "spots_confirmed",
+    "trial_stars_projected",
+    "qmethod_stars",
+    "qmethod_solves",
+)
+KVECTOR_QUERIES, KVECTOR_HITS, ANGLES_COMPUTED, PAIRS_COMPARED = range(4)
+TRIADS_TESTED, TRIANGLES_TESTED, PYRAMIDS_TESTED, CANDIDATES_MARKED = range(4, 8)
+MAGNITUDES_COMPARED, CATALOGUE_ANGLES, SPOTS_CONFIRMED, TRIAL_STARS_PROJECTED = range(8, 12)
+QMETHOD_STARS, QMETHOD_SOLVES = range(12, 14)
+
+FEW_MATCHES = 6  # below this, brightness is looked at too
+MOST_NEAR = 256  # stars near one spot: more than any catalogue holds within a tolerance
+
+
+def work_of(counts: CountArray) -> Work:
+    """The kernels' counts by name."""
+    return Work({name: int(count) for name, count in zip(COUNT_NAMES, counts, strict=True) if count})
+
+
+@numba.njit(cache=True, nogil=True)
+def false_solutions_kernel(
+    stars: int, spots: int, matched: int, spread_rad: float, tolerance_rad: float
+) -> float:
+    """How many solutions with so many matched spots chance gives per image.
+
+    After Zhang et al. 2014 (15): any of the catalogue's stars can be the first spot; a second lies by
+    chance in the ring at the right angle, 4 pi sin(angle) tolerance wide times long; the attitude is then
+    fixed, and each further spot has a star by chance within the tolerance's circle; `matched` of the spots
+    can be chosen in so many ways.
+    ASSUMED: stars evenly over the sky, the angle of the first pair equal to the spots' spread.
+    """
+    if matched < 3 or matched > spots or stars < 1:
+        return math.inf
+    density = stars / (4.0 * math.pi)
+    ways = math.lgamma(spots + 1.0) - math.lgamma(matched + 1.0) - math.lgamma(spots - matched + 1.0)
+    ring = density * 4.0 * math.pi * math.sin(max(spread_rad, tolerance_rad)) * tolerance_rad
+    circle = density * math.pi * tolerance_rad * tolerance_rad
+    logarithm = ways + math.log(stars * ring) + (matched - 2) * math.log(circle)
+    return math.exp(min(logarithm, 700.0))
+
+
+@numba.njit(cache=True, nogil=True)
+def spread_kernel(b: FloatArray, count: int) -> float:
+    """Largest angle of the first `count` directions from their mean, rad."""
+    x = y = z = 0.0
+    for i in range(count):
+        x += b[i, 0]
+        y += b[i, 1]
+        z += b[i, 2]
+    norm = math.sqrt(x * x + y * y + z * z)
+    if norm == 0.0:
+        return math.pi
+    smallest = 1.0
+    for i in range(count):
+        smallest = min(smallest, (b[i, 0] * x + b[i, 1] * y + b[i, 2] * z) / norm)
+    return math.acos(max(-1.0, smallest))
+
+
+@numba.njit(cache=True, nogil=True)
+def match_spots_kernel(
+    b: FloatArray,
+    q: FloatArray,
+    unit_vectors: FloatArray,
+    band_height_rad: float,
+    band_first_cell: IntArray,
+    cell_start: IntArray,
+    cell_star: IntArray,
+    radius_rad: float,
+    star_index: IntArray,
+    counts: CountArray,
+) -> int:
+    """Match every spot to the nearest star within radius_rad under q; a star only to its nearest spot.
+
+    Writes star_index[n] (-1 where none) and returns the number of matches.
+    """
+    spots = len(b)
+    a = np.empty((3, 3))
+    matrix_kernel(q, a)
+    angle = np.empty(spots)
+    found = np.empty(MOST_NEAR, np.int32)
+    matched = 0
+    for spot in range(spots):
+        x = a[0, 0] * b[spot, 0] + a[1, 0] * b[spot, 1] + a[2, 0] * b[spot, 2]
+        y = a[0, 1] * b[spot, 0] + a[1, 1] * b[spot, 1] + a[2, 1] * b[spot, 2]
+        z = a[0, 2] * b[spot, 0] + a[1, 2] * b[spot, 1] + a[2, 2] * b[spot, 2]
+        star, angle[spot], tested = nearest_star_kernel(
+            unit_vectors, band_height_rad, band_first_cell, cell_start, cell_star, x, y, z, radius_rad, found
+        )
+        counts[CATALOGUE_ANGLES] += tested
+        star_index[spot] = star
+        if star < 0:
+            continue
+        matched += 1
+        for earlier in range(spot):
+            if star_index[earlier] == star:
+                loser = spot if angle[earlier] <= angle[spot] else earlier
+                star_index[loser] = -1
+                matched -= 1
+                break
+    return matched
+
+
+@numba.njit(cache=True, nogil=True)
+def refine_kernel(
+    b: FloatArray, unit_vectors: FloatArray, star_index: IntArray, q: FloatArray, counts: CountArray
+) -> int:
+    """Attitude q of the matched spots at equal weights; returns how many there are (q untouched below 3)."""
+    spots = len(b)
+    measured = np.empty((spots, 3))
+    reference = np.empty((spots, 3))
+    matched = 0
+    for spot in range(spots):
+        star = star_index[spot]
+        if star >= 0:
+            for m in range(3):
+                measured[matched, m] = b[spot, m]
+                reference[matched, m] = unit_vectors[star, m]
+            matched += 1
+    if matched >= 3:
+        quaternion_kernel(measured, reference, np.ones(spots), matched, q)
+        counts[QMETHOD_STARS] += matched
+        counts[QMETHOD_SOLVES] += 1
+    return matched
+
+
+@numba.njit(cache=True, nogil=True)
+def expected_kernel(
+    q: FloatArray,
+    normals: FloatArray,
+    unit_vectors: FloatArray,
+    hp_mag: npt.NDArray[np.float32],
+    band_height_rad: float,
+    band_first_cell: IntArray,
+    cell_start: IntArray,
+    cell_star: IntArray,
+    star_index: IntArray,
+    counts: CountArray,
+) -> tuple[int, int]:
+    """(catalogue stars in the field not dimmer than the median of the matched, how many are matched).
+
+    The field is bounded by the four planes of Sarvi et al. 2014, (3)-(4).
+    """
+    spots = len(star_index)
+    sorted_mag = np.empty(spots)
+    matched = 0
+    for spot in range(spots):
+        if star_index[spot] >= 0:
+            sorted_mag[matched] = hp_mag[star_index[spot]]
+            matched += 1
+    if matched == 0:
+        return 0, 0
+    sorted_mag[:matched].sort()
+    limit = sorted_mag[(matched - 1) // 2]
+    smallest_z = 1.0
+    for i in range(4):
+        j = (i + 1) % 4
+        x = normals[i, 1] * normals[j, 2] - normals[i, 2] * normals[j, 1]
+        y = normals[i, 2] * normals[j, 0] - normals[i, 0] * normals[j, 2]
+        z = normals[i, 0] * normals[j, 1] - normals[i, 1] * normals[j, 0]
+        smallest_z = min(smallest_z, abs(z) / math.sqrt(x * x + y * y + z * z))
+    a = np.empty((3, 3))
+    matrix_kernel(q, a)
+    found = np.empty(len(unit_vectors), np.int32)
+    near, tested = stars_in_cone_kernel(
+        unit_vectors,
+        band_height_rad,
+        band_first_cell,
+        cell_start,
+        cell_star,
+        a[2, 0],
+        a[2, 1],
+        a[2, 2],
+        math.acos(smallest_z),
+        found,
+    )
+    counts[CATALOGUE_ANGLES] += tested
+    expected = 0
+    seen = 0
+    for place in range(near):
+        star = found[place]
+        if hp_mag[star] > limit:
+            continue
+        counts[TRIAL_STARS_PROJECTED] += 1
+        inside = True
+        for i in range(4):
+            distance = 0.0
+            for m in range(3):
+                turned = (
+                    a[m, 0] * unit_vectors[star, 0]
+                    + a[m, 1] * unit_vectors[star, 1]
+                    + a[m, 2] * unit_vectors[star, 2]
+                )
+                distance += turned * normals[i, m]
+            if distance <= 0.0:
+                inside = False
+                break
+        if not inside:
+            continue
+        expected += 1
+        for spot in range(spots):
+            if star_index[spot] == star:
+                seen += 1
+                break
+    return expected, seen
+
+
+@numba.njit(cache=True, nogil=True)
+def odd_brightness_kernel(
+    magnitudes: FloatArray,
+    hp_mag: npt.NDArray[np.float32],
+    star_index: IntArray,
+    tolerance_mag: float,
+    counts: CountArray,
+) -> int:
+    """Matched spots whose brightness is off by more than tolerance_mag from the median offset."""
+    spots = len(star_index)
+    offset = np.empty(spots)
+    matched = 0
+    for spot in range(spots):
+        if star_index[spot] >= 0:
+            offset[matched] = magnitudes[spot] - hp_mag[star_index[spot]]
+            matched += 1
+    counts[MAGNITUDES_COMPARED] += matched
+    if matched == 0:
+        return 0
+    ascending = np.sort(offset[:matched])
+    middle = 0.5 * (ascending[(matched - 1) // 2] + ascending[matched // 2])
+    odd = 0
+    for i in range(matched):
+        if not abs(offset[i] - middle) <= tolerance_mag:
+            odd += 1
+    return odd
+
+
+@numba.njit(cache=True, nogil=True)
+def verify_kernel(
+    b: FloatArray,
+    magnitudes: FloatArray,
+    q: FloatArray,
+    unit_vectors: FloatArray,
+    hp_mag: npt.NDArray[np.float32],
+    band_height_rad: float,
+    band_first_cell: IntArray,
+    cell_start: IntArray,
+    cell_star: IntArray,
+    tolerance_rad: float,
+    min_stars: int,
+    normals: FloatArray,
+    least_seen_share: float,
+    magnitude_tolerance: float,
+    star_index: IntArray,
+    counts: CountArray,
+) -> tuple[int, int, int]:
+    """(matched, expected, seen) of the trial attitude q, which is refined; matched is 0 when the trial fails.
+
+    Three passes: a wide one, since a few stars close together fix the far end of the field badly, then two
+    at the tolerance. A trial fails with fewer than min_stars matches, when too few of the stars that must
+    be in the field are matched (field given: normals[4, 3], else normals[0, 3]), or when few matches do not
+    agree in brightness.
+    """
+    for trial in range(3):
+        radius = 2.0 * tolerance_rad if trial == 0 else tolerance_rad
+        matched = match_spots_kernel(
+            b,
+            q,
+            unit_vectors,
+            band_height_rad,
+            band_first_cell,
+            cell_start,
+            cell_star,
+            radius,
+            star_index,
+            counts,
+        )
+        if matched < min_stars:
+            return 0, 0, 0
+        refine_kernel(b, unit_vectors, star_index, q, counts)
+    counts[SPOTS_CONFIRMED] += matched
+    if (
+        matched < FEW_MATCHES
+        and odd_brightness_kernel(magnitudes, hp_mag, star_index, magnitude_tolerance, counts) > 1
+    ):
+        return 0, 0, 0
+    expected = 0
+    seen = 0
+    if len(normals) == 4:
+        expected, seen = expected_kernel(
+            q,
+            normals,
+            unit_vectors,
+            hp_mag,
+            band_height_rad,
+            band_first_cell,
+            cell_start,
+            cell_star,
+            star_index,
+            counts,
+        )
+        if seen < least_seen_share * expected:
+            return 0, expected, seen
+    return matched, expected, seen
