@@ -44,13 +44,15 @@ _DEFINITIONS: Final = (
     # clustering
     ("runs", "clustering", "run of pixels over threshold put into the run table"),
     ("run_unions", "clustering", "pair of touching runs joined (union-find)"),
+    ("cluster_pixels", "clustering", "pixel over threshold summed into its cluster"),
     ("clusters", "clustering", "cluster with its sums completed"),
     # centroid
     ("centroid_stars", "centroid", "centre of mass computed once (its divisions), each pass counts"),
     ("centroid_pixels", "centroid", "pixel weighted into a centre of mass, each pass counts"),
     ("centroid_background_pixels", "centroid", "pixel of the ring round a spot for its local background"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
-    ("unit_vectors", "centroid", "pixel position turned to a unit vector, distortion removed"),
+    ("unit_vectors", "centroid", "pixel position turned to a unit vector (pinhole)"),
+    ("distortions_removed", "centroid", "pixel position freed from lens distortion (only with a distorted lens)"),
     # identification
     ("kvector_queries", "identification", "range query of the pair catalogue by its k-vector"),
     ("kvector_hits", "identification", "pair returned by a range query"),

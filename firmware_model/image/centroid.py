@@ -18,8 +18,8 @@ X, Y, FLUX, MAGNITUDE, SPOT_PEAK, SPOT_PIXELS, SATURATED, AT_EDGE = range(8)
 SPOT_FIELDS = 8
 
 # int64[TALLIES]: rejections by reason, then work
-SMALL, LARGE, SHARP, EDGE, FAINT, PASSES, WINDOW_PIXELS, RING_PIXELS = range(8)
-TALLIES = 8
+SMALL, LARGE, SHARP, EDGE, FAINT, PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS = range(9)
+TALLIES = 9
 
 class SpotLimits(NamedTuple):
     """What makes a cluster a spot; the fields are those of ``DetectionParameters``."""
@@ -164,11 +164,13 @@ def measure_spots(
         first_x, last_x = entry[FIRST_X], entry[LAST_X]
         first_y, last_y = entry[FIRST_Y], entry[LAST_Y]
         outcome[cluster] = -1
+        tally[CLUSTER_PIXELS] += int(entry[PIXELS])
         if entry[PIXELS] < limits.min_pixels:
             outcome[cluster] = SMALL
-        elif entry[PIXELS] > limits.max_pixels:
-            outcome[cluster] = LARGE
-        elif max(last_x - first_x, last_y - first_y) >= limits.max_extent:
+        elif (
+            entry[PIXELS] > limits.max_pixels
+            or max(last_x - first_x, last_y - first_y) >= limits.max_extent
+        ):
             outcome[cluster] = LARGE
         elif first_x == 0 or first_y == 0 or last_x == columns - 1 or last_y == rows - 1:
             outcome[cluster] = EDGE

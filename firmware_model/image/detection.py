@@ -18,9 +18,19 @@ __all__ = ["DetectionParameters", "detect"]
 
 
 _POSITIVE = (
-    "sigma_factor tau_min_dn window_sigma_factor exposure_s zero_point_dn_per_s min_pixels max_pixels "
-    "max_extent_px centroid_half_window_px average_pixels max_runs max_spots"
-).split()
+    "sigma_factor",
+    "tau_min_dn",
+    "window_sigma_factor",
+    "exposure_s",
+    "zero_point_dn_per_s",
+    "min_pixels",
+    "max_pixels",
+    "max_extent_px",
+    "centroid_half_window_px",
+    "average_pixels",
+    "max_runs",
+    "max_spots",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +176,7 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
         "threshold_pixels": image.size,
         "runs": runs,
         "run_unions": unions,
+        "cluster_pixels": counts[centroid.CLUSTER_PIXELS],
         "clusters": clusters,
         "centroid_stars": counts[centroid.PASSES],
         "centroid_pixels": counts[centroid.WINDOW_PIXELS],

@@ -256,6 +256,7 @@ def detect_in_windows(
         "window_pixels": len(flat),
         "runs": runs,
         "run_unions": unions,
+        "cluster_pixels": tallied[centroid.CLUSTER_PIXELS],
         "clusters": clusters,
         "centroid_stars": tallied[centroid.PASSES],
         "centroid_pixels": tallied[centroid.WINDOW_PIXELS],
