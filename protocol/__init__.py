@@ -1,7 +1,8 @@
 """The wire: messages and bytes. Sans-IO; imports nothing else of the project.
 
-``encode_telecommand``/``encode_telemetry`` make whole packets, ``parse_telecommand``/``parse_telemetry`` take them apart
-and never raise, ``slip_encode`` and ``SlipDecoder`` carry them over a serial line. Every message stands in ``REGISTRY``.
+``encode_telecommand``/``encode_telemetry`` make whole packets, ``parse_telecommand``/``parse_telemetry``
+take them apart and never raise, ``slip_encode`` and ``SlipDecoder`` carry them over a serial line. Every
+message stands in ``REGISTRY``.
 """
 
 from .enumerations import (
@@ -27,7 +28,8 @@ from .enumerations import (
 )
 from .errors import LocalProtocolError, ProtocolError, RemoteProtocolError
 from .events import EVENT_TABLE, EVENTS, EventDefinition
-from .fields import Case, Data, Field, FieldProblem, FieldType, FieldViolation, Repeated, Switched
+from .field_types import FieldProblem, FieldType, FieldViolation
+from .fields import Case, Data, Field, Repeated, Switched
 from .framing import FrameDiscarded, FrameEvent, FrameReceived, SlipDecoder, slip_encode
 from .functions import FUNCTION_TABLE, FUNCTIONS, FunctionDefinition
 from .housekeeping import HOUSEKEEPING, HOUSEKEEPING_TABLE, HousekeepingDefinition

@@ -185,7 +185,9 @@ class MemoryId(IntEnum):
 
 
 class TimeStatus(IntEnum):
-    """Time reference status of a telemetry packet (ECSS-E-ST-70-41C 7.4.3.1; values are this interface's own)."""
+    """Time reference status of a telemetry packet (ECSS-E-ST-70-41C 7.4.3.1; values are this interface's
+    own).
+    """
 
     FREE_RUNNING = 0
     SET = 1
@@ -286,16 +288,16 @@ MEANINGS: dict[Enum, str] = {
     Reason.WORK_LIMIT: "the search was cut off at its work limit",
     Reason.NO_FRAME: "the sensor delivered no frame",
     Reason.TOO_MANY_SPOTS: "more spots than the unit handles",
-    FailureCode.UNKNOWN_APID: "no application process of this APID here (routing failure, 1,10); data: the APID",
-    FailureCode.LENGTH: "packet too short, too long, or not as long as its length field says; data: length received in bytes",
+    FailureCode.UNKNOWN_APID: "no application process of this APID here (reported by 1,10); data: the APID",
+    FailureCode.LENGTH: "packet too short, too long or not of the length it states; data: bytes received",
     FailureCode.CRC: "packet error control does not match; data: CRC received",
     FailureCode.UNKNOWN_SERVICE: "service not provided; data: service",
     FailureCode.UNKNOWN_SUBSERVICE: "message subtype not provided; data: service * 256 + subservice",
-    FailureCode.BAD_FIELDS: "application data do not fit the layout of the message; data: length of the packet in bytes",
+    FailureCode.BAD_FIELDS: "application data do not fit the layout; data: bytes of the packet",
     FailureCode.NOT_ALLOWED_IN_MODE: "not allowed in the present mode; data: mode",
     FailureCode.OUT_OF_RANGE: "a value is outside its range; data: the identifier concerned, else 0",
-    FailureCode.UNKNOWN_ID: "unknown structure, parameter, function, event or memory; data: the identifier, 0 when it "
-    "could not be decoded",
+    FailureCode.UNKNOWN_ID: "unknown structure, parameter, function, event or memory; data: the "
+    "identifier, 0 when it could not be decoded",
     FailureCode.READ_ONLY: "the parameter or memory cannot be written; data: its identifier",
     FailureCode.BUSY: "an earlier request of this kind is still running; data: 0",
     FailureCode.NO_IMAGE: "no captured image; data: 0",
@@ -361,5 +363,6 @@ MEANINGS: dict[Enum, str] = {
     StoreInvalidCause.OUT_OF_RANGE: "a stored value is outside its range",
     StoreInvalidCause.OTHER_UNIT: "stored by a unit of another type or version",
 }
-"""Meaning of enumeration members; the members without one are described where they are defined (events, functions,
-parameters)."""
+"""Meaning of enumeration members; the members without one are described where they are defined (events,
+functions, parameters).
+"""

@@ -15,7 +15,8 @@ from .enumerations import (
     SelfTest,
     StoreInvalidCause,
 )
-from .fields import CUC, UINT8, UINT16, UINT32, Field
+from .field_types import CUC, UINT8, UINT16, UINT32
+from .fields import Field
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,11 @@ EVENT_TABLE: tuple[EventDefinition, ...] = (
     EventDefinition(
         EventId.TC_MALFORMED,
         _LOW,
-        "bytes were received that are no packet of this interface; not sent for a failed packet error control",
+        "bytes were received that are no packet of this interface (a wrong CRC has its own event)",
         (
-            Field("reason", UINT8, meaning="malformed reason; 100 + framing reason for errors of the framing"),
+            Field(
+                "reason", UINT8, meaning="malformed reason; 100 + framing reason for errors of the framing"
+            ),
             Field("count", UINT16, meaning="counter concerned after it"),
             Field("length", UINT16, "byte", meaning="length of the frame; 65535 stands for 65535 or more"),
         ),

@@ -1,9 +1,9 @@
 """Field metadata and the construct layouts built from it.
 
 A message is described once, as a list of elements: :class:`Field` (one number, time or request identity),
-:class:`Data` (octets), :class:`Repeated` (a count and that many items) and :class:`Switched` (contents that depend on
-the value of an earlier field). From this list come the construct layout (bytes <-> values), the checks of what is to
-be sent or was received, and the tables of the interface control document.
+:class:`Data` (octets), :class:`Repeated` (a count and that many items) and :class:`Switched` (contents that
+depend on the value of an earlier field). From this list come the construct layout (bytes <-> values), the
+checks of what is to be sent or was received, and the tables of the interface control document.
 """
 
 from __future__ import annotations
@@ -11,80 +11,33 @@ from __future__ import annotations
 import io
 import math
 import operator
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum, IntFlag
-from typing import Any, Union
+from typing import Any
 
 import construct
 
-from .enumerations import MEANINGS, FailureCode
+from .enumerations import MEANINGS
+from .field_types import (
+    FLOAT32_MAX,
+    FieldError,
+    FieldProblem,
+    FieldType,
+    FieldViolation,
+    as_float32,
+)
 from .packets import REQUEST_ID_BITS, CucTime, RequestId
-
-
-class FieldProblem(Enum):
-    """What is wrong with a value."""
-
-    MISSING = "missing"
-    UNEXPECTED = "unexpected"
-    WRONG_TYPE = "wrong type"
-    OUT_OF_RANGE = "out of range"
-    UNKNOWN_ID = "unknown identifier"
-
-
-@dataclass(frozen=True)
-class FieldViolation:
-    """The first thing wrong with the fields of a message: ``field`` is its path, such as ``settings[0].value``."""
-
-    field: str
-    value: Any
-    allowed: str
-    problem: FieldProblem
-
-    @property
-    def failure_code(self) -> FailureCode:
-        """The failure code that a unit answers with."""
-        if self.problem is FieldProblem.UNKNOWN_ID:
-            return FailureCode.UNKNOWN_ID
-        if self.problem is FieldProblem.OUT_OF_RANGE:
-            return FailureCode.OUT_OF_RANGE
-        return FailureCode.BAD_FIELDS
-
-    def __str__(self) -> str:
-        return f"{self.field} = {self.value!r}: {self.problem.value}; allowed: {self.allowed}"
-
-
-class FieldError(Exception):
-    """Carries a violation out of nested elements; the registry turns it into a value or a LocalProtocolError."""
-
-    def __init__(self, violation: FieldViolation) -> None:
-        self.violation = violation
-        super().__init__(str(violation))
 
 
 class UnknownIdentifier(construct.ConstructError):
     """While parsing: the value that selects a layout has no layout."""
 
 
-class _CucAdapter(construct.Adapter):
-    def _decode(self, obj: bytes, context: Any, path: str) -> CucTime:
-        return CucTime.from_bytes(obj)
-
-    def _encode(self, obj: CucTime, context: Any, path: str) -> bytes:
-        return obj.as_bytes()
-
-
-class _RequestIdAdapter(construct.Adapter):
-    def _decode(self, obj: bytes, context: Any, path: str) -> dict[str, int]:
-        return RequestId.from_packet(obj).as_fields()
-
-    def _encode(self, obj: RequestId, context: Any, path: str) -> bytes:
-        return obj.as_bytes()
-
-
 class _Unidentified(construct.Construct):
-    """Contents of an unknown identifier: an error when parsed; octets as given when built (to provoke that error)."""
+    """Contents of an unknown identifier: an error when parsed; octets as given when built (to provoke that
+    error).
+    """
 
     def __init__(self, selector: str) -> None:
         super().__init__()
@@ -98,50 +51,14 @@ class _Unidentified(construct.Construct):
         return obj
 
 
-@dataclass(frozen=True)
-class FieldType:
-    """A type on the wire: its name in the interface document, size, construct and, of integers, what fits into it."""
-
-    name: str
-    size_bytes: int
-    layout: construct.Construct
-    kind: str  # "integer", "float", "time", "request_id"
-    lowest: int = 0
-    highest: int = 0
-
-
-def _integer(name: str, size_bytes: int, layout: construct.Construct, signed: bool) -> FieldType:
-    bits = 8 * size_bytes
-    if signed:
-        return FieldType(name, size_bytes, layout, "integer", -(1 << (bits - 1)), (1 << (bits - 1)) - 1)
-    return FieldType(name, size_bytes, layout, "integer", 0, (1 << bits) - 1)
-
-
-UINT8 = _integer("u8", 1, construct.Int8ub, False)
-UINT16 = _integer("u16", 2, construct.Int16ub, False)
-UINT32 = _integer("u32", 4, construct.Int32ub, False)
-INT8 = _integer("i8", 1, construct.Int8sb, True)
-INT16 = _integer("i16", 2, construct.Int16sb, True)
-INT32 = _integer("i32", 4, construct.Int32sb, True)
-FLOAT32 = FieldType("f32", 4, construct.Float32b, "float")
-FLOAT64 = FieldType("f64", 8, construct.Float64b, "float")
-CUC = FieldType("CUC", 7, _CucAdapter(construct.Bytes(7)), "time")
-REQUEST_ID = FieldType("request ID", 4, _RequestIdAdapter(construct.Bytes(4)), "request_id")
-
-_FLOAT32 = struct.Struct(">f")
-FLOAT32_MAX = 3.4028234663852886e38
-
-
-def as_float32(value: float) -> float:
-    """``value`` as it comes back from a 32-bit float."""
-    return float(_FLOAT32.unpack(_FLOAT32.pack(value))[0])
+Choices = type[IntEnum] | type[IntFlag]
 
 
 @dataclass(frozen=True)
 class Field:
-    """One value. Limits are inclusive; None is the limit of the type. ``choices``: an enumeration that names every
-    allowed value (IntEnum) or bit (IntFlag). ``identifier`` marks a value whose unknown values are reported as
-    UNKNOWN_ID instead of OUT_OF_RANGE.
+    """One value. Limits are inclusive; None is the limit of the type. ``choices``: an enumeration that
+    names every allowed value (IntEnum) or bit (IntFlag). ``identifier`` marks a value whose unknown values
+    are reported as UNKNOWN_ID instead of OUT_OF_RANGE.
 
     In a 32-bit float a limit means its nearest 32-bit value, so that a limit itself may be sent.
     """
@@ -152,7 +69,7 @@ class Field:
     minimum: float | None = None
     maximum: float | None = None
     meaning: str = ""
-    choices: type[IntEnum] | type[IntFlag] | None = None
+    choices: Choices | None = None
     identifier: bool = False
 
     @property
@@ -251,7 +168,8 @@ class Field:
             if strict and (low is not None or high is not None):
                 rounded = as_float32(value)
                 if not (
-                    (low is None or rounded >= as_float32(low)) and (high is None or rounded <= as_float32(high))
+                    (low is None or rounded >= as_float32(low))
+                    and (high is None or rounded <= as_float32(high))
                 ):
                     raise self._error(value, path, FieldProblem.OUT_OF_RANGE)
         elif strict and not ((low is None or value >= low) and (high is None or value <= high)):
@@ -326,7 +244,9 @@ class Data:
 
 @dataclass(frozen=True)
 class Repeated:
-    """A count (``u8``) and that many items. One unnamed-item element: a list of values; several: a list of dicts."""
+    """A count (``u8``) and that many items. One unnamed-item element: a list of values; several: a list of
+    dicts.
+    """
 
     name: str
     items: tuple[Element, ...]
@@ -362,7 +282,9 @@ class Repeated:
     def prepare(self, value: Any, path: str, strict: bool) -> list[Any]:
         """``value`` as a list of plain values; FieldError for the first wrong item."""
         if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__iter__"):
-            raise FieldError(FieldViolation(path, value, "a list of " + self.allowed(), FieldProblem.WRONG_TYPE))
+            raise FieldError(
+                FieldViolation(path, value, "a list of " + self.allowed(), FieldProblem.WRONG_TYPE)
+            )
         items = list(value)
         low, high = (self.minimum, self.maximum) if strict else (0, 255)
         if not low <= len(items) <= high:
@@ -379,7 +301,9 @@ class Repeated:
 
 @dataclass(frozen=True)
 class Case:
-    """What a Switched element holds for one value of its selector: one value (``single``) or a group of fields."""
+    """What a Switched element holds for one value of its selector: one value (``single``) or a group of
+    fields.
+    """
 
     title: str
     fields: tuple[Element, ...]
@@ -430,7 +354,7 @@ class Switched:
         return FieldGroup(case.fields).prepare({} if value is None else value, path + ".", strict)
 
 
-Element = Union[Field, Data, Repeated, Switched]
+Element = Field | Data | Repeated | Switched
 
 
 @dataclass(frozen=True)
@@ -478,7 +402,9 @@ class FieldGroup:
             known = [element.name for element in self.elements]
             extra = next(name for name in values if name not in prepared)
             allowed = "only " + ", ".join(known) if known else "no fields"
-            raise FieldError(FieldViolation(f"{path}{extra}", values[extra], allowed, FieldProblem.UNEXPECTED))
+            raise FieldError(
+                FieldViolation(f"{path}{extra}", values[extra], allowed, FieldProblem.UNEXPECTED)
+            )
         return prepared
 
 
@@ -494,7 +420,9 @@ class DataLayout:
         return bytes(self.construct.build(self.group.prepare(values, "", strict)))
 
     def parse(self, data: bytes) -> dict[str, Any]:
-        """The plain values of ``data``; construct.ConstructError when the layout does not use it up exactly."""
+        """The plain values of ``data``; construct.ConstructError when the layout does not use it up
+        exactly.
+        """
         stream = io.BytesIO(data)
         values = self.construct.parse_stream(stream)
         left = len(data) - stream.tell()

@@ -1,7 +1,7 @@
 """SLIP framing (RFC 1055): a byte stream to frames and back.
 
-END both opens and closes a frame (the RFC's recommendation against line noise), so that whatever stands before the
-first END is a frame of its own and is rejected later by the packet parser.
+END both opens and closes a frame (the RFC's recommendation against line noise), so that whatever stands
+before the first END is a frame of its own and is rejected later by the packet parser.
 """
 
 from __future__ import annotations
@@ -49,12 +49,14 @@ def slip_encode(data: bytes) -> bytes:
 
 
 class SlipDecoder:
-    """Bytes of a line in, frames out, in the order of the line and independent of how the bytes are cut into chunks.
+    """Bytes of a line in, frames out, in the order of the line and independent of how the bytes are cut
+    into chunks.
 
     - END always ends a frame, also after ESC, so that no garbage can swallow a frame that follows.
     - Nothing between two ENDs is no frame and no event.
-    - A frame longer than ``max_frame_bytes`` after unescaping is discarded as OVERSIZED, one with a wrong escape as
-      BAD_ESCAPE; which one is decided by what came first. Memory is bounded by ``max_frame_bytes``.
+    - A frame longer than ``max_frame_bytes`` after unescaping is discarded as OVERSIZED, one with a wrong
+      escape as BAD_ESCAPE; which one is decided by what came first. Memory is bounded by
+      ``max_frame_bytes``.
     """
 
     def __init__(self, max_frame_bytes: int) -> None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .enumerations import FunctionId, ResetKind
-from .fields import FLOAT64, UINT8, UINT16, Field
+from .field_types import FLOAT64, UINT8, UINT16
+from .fields import Field
 
 
 @dataclass(frozen=True)
 class FunctionDefinition:
-    """One function: its number, arguments and what its execution means. ``verification``: reports after acceptance."""
+    """One function: its number, arguments and what its execution means. ``verification``: reports after
+    acceptance.
+    """
 
     id: FunctionId
     meaning: str
@@ -44,7 +47,7 @@ FUNCTION_TABLE: tuple[FunctionDefinition, ...] = (
         FunctionId.RESET,
         "restart the unit",
         (Field("kind", UINT8, meaning="what is kept", choices=ResetKind),),
-        verification="start; completion after the restart is not reported: event BOOT_COMPLETED stands for it",
+        verification="start; then event BOOT_COMPLETED instead of a completion report",
     ),
     FunctionDefinition(
         FunctionId.CAPTURE_IMAGE,
@@ -63,7 +66,9 @@ FUNCTION_TABLE: tuple[FunctionDefinition, ...] = (
     ),
     FunctionDefinition(FunctionId.ABORT_DOWNLOAD, "stop a running download"),
     FunctionDefinition(
-        FunctionId.SHUTDOWN, "store the parameters and go to OFF", verification="start; completion before the line goes quiet"
+        FunctionId.SHUTDOWN,
+        "store the parameters and go to OFF",
+        verification="start; completion before the line goes quiet",
     ),
     FunctionDefinition(FunctionId.CLEAR_COUNTERS, "set the counters of the housekeeping structures to 0"),
     FunctionDefinition(

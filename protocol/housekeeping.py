@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .enumerations import HousekeepingId, Mode, Reason, ResetCause, SelfTest, TimeStatus
-from .fields import INT16, INT32, UINT8, UINT16, UINT32, Field
+from .field_types import INT16, INT32, UINT8, UINT16, UINT32
+from .fields import Field
 
 MIN_INTERVAL_MS = 250
 MAX_INTERVAL_MS = 3_600_000
@@ -44,7 +45,9 @@ HOUSEKEEPING_TABLE: tuple[HousekeepingDefinition, ...] = (
             Field("frames_late", UINT32, meaning="frames that overran their budget"),
             Field("frames_dropped", UINT32, meaning="frames that were not processed"),
             Field("temperature_cdeg", INT16, "0.01 degC", meaning="detector temperature"),
-            Field("stored_parameters_valid", UINT8, "", 0, 1, "1: the stored parameters were whole at the start"),
+            Field(
+                "stored_parameters_valid", UINT8, "", 0, 1, "1: the stored parameters were whole at the start"
+            ),
         ),
     ),
     HousekeepingDefinition(

@@ -16,7 +16,9 @@ Kind = Literal["TC", "TM"]
 
 @dataclass(frozen=True)
 class ServiceDefinition:
-    """A PUS service: its number, title, clause of ECSS-E-ST-70-41C ("" when mission-specific) and messages."""
+    """A PUS service: its number, title, clause of ECSS-E-ST-70-41C ("" when mission-specific) and
+    messages.
+    """
 
     number: int
     title: str
@@ -29,9 +31,9 @@ class ServiceDefinition:
 class MessageDefinition:
     """One telecommand or telemetry message.
 
-    ``fields`` describe its application (TC) or source (TM) data in the order of the wire. ``clause`` is that of
-    ECSS-E-ST-70-41C; ``tailoring`` says where this interface departs from it. ``verification`` says which reports a
-    telecommand gives beyond acceptance, ``when`` what sends a telemetry message.
+    ``fields`` describe its application (TC) or source (TM) data in the order of the wire. ``clause`` is
+    that of ECSS-E-ST-70-41C; ``tailoring`` says where this interface departs from it. ``verification`` says
+    which reports a telecommand gives beyond acceptance, ``when`` what sends a telemetry message.
     """
 
     kind: Kind

@@ -1,23 +1,29 @@
 """CCSDS space packets, PUS-C secondary headers, CUC time and packet error control.
 
-Sources: CCSDS 133.0-B-2 (space packet), ECSS-E-ST-70-41C clause 7.4 (secondary headers) and annex B (packet error
-control), CCSDS 301.0-B-4 clause 3.2 (CUC time). All numbers are big-endian, bit 0 is the most significant.
+Sources: CCSDS 133.0-B-2 (space packet), ECSS-E-ST-70-41C clause 7.4 (packets) and annex B (packet error
+control), CCSDS 301.0-B-4 clause 3.2 (CUC time). All numbers are big-endian; the bit layouts stand in
+:mod:`headers`.
 """
 
 from __future__ import annotations
 
 import binascii
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from .enumerations import MalformedReason
 from .errors import LocalProtocolError
+from .headers import (
+    PRIMARY_HEADER,
+    REQUEST_ID_LAYOUT,
+    TELECOMMAND_SECONDARY_HEADER,
+    TELEMETRY_SECONDARY_HEADER,
+)
 
-PRIMARY_HEADER_BYTES = 6
-TELECOMMAND_SECONDARY_HEADER_BYTES = 5
-TELEMETRY_SECONDARY_HEADER_BYTES = 14
+PRIMARY_HEADER_BYTES = PRIMARY_HEADER.size_bytes
+TELECOMMAND_SECONDARY_HEADER_BYTES = TELECOMMAND_SECONDARY_HEADER.size_bytes
+TELEMETRY_SECONDARY_HEADER_BYTES = TELEMETRY_SECONDARY_HEADER.size_bytes
 PACKET_ERROR_CONTROL_BYTES = 2
 MAX_TELECOMMAND_BYTES = 1024
 MAX_TELEMETRY_BYTES = 2048
@@ -53,7 +59,8 @@ def crc16_ccitt(data: bytes) -> int:
 class CucTime:
     """CCSDS unsegmented time: ``coarse`` TAI seconds since 1958-01-01, ``fine`` in 2^-24 s.
 
-    4 + 3 bytes, P-field implicit (it would be 0x2F: agency epoch 1958, 4 coarse, 3 fine octets: 301.0-B-4 clause 3.2.2).
+    4 + 3 bytes, P-field implicit (it would be 0x2F: agency epoch 1958, 4 coarse, 3 fine octets: 301.0-B-4
+    clause 3.2.2).
     """
 
     coarse: int
@@ -89,7 +96,9 @@ class CucTime:
 
 @dataclass(frozen=True, slots=True)
 class PacketHeader:
-    """Space packet primary header (CCSDS 133.0-B-2 clause 4.1.3); ``data_length`` is the field: data bytes - 1."""
+    """Space packet primary header (CCSDS 133.0-B-2 clause 4.1.3); ``data_length`` is the field: data bytes
+    - 1.
+    """
 
     version: int
     packet_type: int
@@ -104,22 +113,26 @@ class PacketHeader:
         """The header of the first 6 bytes of ``raw``; ValueError when there are fewer."""
         if len(raw) < PRIMARY_HEADER_BYTES:
             raise ValueError(f"a packet header has {PRIMARY_HEADER_BYTES} bytes, got {len(raw)}")
-        word, sequence, length = struct.unpack_from(">HHH", raw)
-        return cls(word >> 13, word >> 12 & 1, word >> 11 & 1, word & 0x7FF, sequence >> 14, sequence & 0x3FFF, length)
+        return cls(**PRIMARY_HEADER.decode(raw[:PRIMARY_HEADER_BYTES]))
 
     def as_bytes(self) -> bytes:
         """The 6 bytes."""
-        return struct.pack(
-            ">HHH",
-            self.version << 13 | self.packet_type << 12 | self.secondary_header << 11 | self.apid,
-            self.sequence_flags << 14 | self.sequence_count,
-            self.data_length,
+        return PRIMARY_HEADER.encode(
+            version=self.version,
+            packet_type=self.packet_type,
+            secondary_header=self.secondary_header,
+            apid=self.apid,
+            sequence_flags=self.sequence_flags,
+            sequence_count=self.sequence_count,
+            data_length=self.data_length,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class RequestId:
-    """Identity of a telecommand in its verification reports: the first 4 bytes of its packet (PUS-C 8.1.2.1)."""
+    """Identity of a telecommand in its verification reports: the first 4 bytes of its packet (PUS-C
+    8.1.2.1).
+    """
 
     version: int = PACKET_VERSION
     packet_type: int = TYPE_TELECOMMAND
@@ -133,8 +146,7 @@ class RequestId:
         """The identity of the packet that starts with ``raw`` (4 bytes or more, else ValueError)."""
         if len(raw) < 4:
             raise ValueError(f"a request ID needs 4 bytes, got {len(raw)}")
-        word, sequence = struct.unpack_from(">HH", raw)
-        return cls(word >> 13, word >> 12 & 1, word >> 11 & 1, word & 0x7FF, sequence >> 14, sequence & 0x3FFF)
+        return cls(**REQUEST_ID_LAYOUT.decode(raw[:4]))
 
     @classmethod
     def from_fields(cls, fields: Mapping[str, Any]) -> RequestId:
@@ -143,25 +155,14 @@ class RequestId:
 
     def as_bytes(self) -> bytes:
         """The 4 bytes."""
-        return struct.pack(
-            ">HH",
-            self.version << 13 | self.packet_type << 12 | self.secondary_header << 11 | self.apid,
-            self.sequence_flags << 14 | self.sequence_count,
-        )
+        return REQUEST_ID_LAYOUT.encode(**self.as_fields())
 
     def as_fields(self) -> dict[str, int]:
         """As the nested ``request_id`` dict of a verification report."""
         return {name: getattr(self, name) for name in REQUEST_ID_BITS}
 
 
-REQUEST_ID_BITS: dict[str, int] = {
-    "version": 3,
-    "packet_type": 1,
-    "secondary_header": 1,
-    "apid": 11,
-    "sequence_flags": 2,
-    "sequence_count": 14,
-}
+REQUEST_ID_BITS: dict[str, int] = {entry.name: entry.bits for entry in REQUEST_ID_LAYOUT.fields}
 
 
 @dataclass(frozen=True)
@@ -186,7 +187,9 @@ class Telecommand:
 
 @dataclass(frozen=True)
 class Telemetry:
-    """A decoded telemetry packet; ``time`` is the packet's time, ``time_status`` its time reference status (4 bit)."""
+    """A decoded telemetry packet; ``time`` is the packet's time, ``time_status`` its time reference status
+    (4 bit).
+    """
 
     apid: int
     sequence_count: int
@@ -205,8 +208,8 @@ class Telemetry:
 class Malformed:
     """Bytes that are no packet of this interface.
 
-    ``header`` is there from 6 bytes on, ``request_id`` from 4 bytes on; when ``reason`` is BAD_CRC, TOO_SHORT or
-    LENGTH_MISMATCH they are what the damaged bytes say and may be wrong.
+    ``header`` is there from 6 bytes on, ``request_id`` from 4 bytes on; when ``reason`` is BAD_CRC,
+    TOO_SHORT or LENGTH_MISMATCH they are what the damaged bytes say and may be wrong.
     """
 
     reason: MalformedReason
@@ -222,19 +225,20 @@ def space_packet(packet_type: int, apid: int, sequence_count: int, data: bytes) 
     ``data``: the secondary header and the user data. LocalProtocolError when a header field is out of range.
     """
     what = "telecommand packet" if packet_type == TYPE_TELECOMMAND else "telemetry packet"
-    if not 0 <= apid < IDLE_APID:
+    if apid == IDLE_APID:
         raise LocalProtocolError(what, "apid", apid, "0..2046 (2047 is for idle packets)")
-    if not 0 <= sequence_count < SEQUENCE_MODULO:
-        raise LocalProtocolError(what, "sequence_count", sequence_count, "0..16383")
     limit = MAX_TELECOMMAND_BYTES if packet_type == TYPE_TELECOMMAND else MAX_TELEMETRY_BYTES
     total = PRIMARY_HEADER_BYTES + len(data) + PACKET_ERROR_CONTROL_BYTES
     if total > limit:
-        raise LocalProtocolError(what, "length", total, f"at most {limit} bytes")
-    header = struct.pack(
-        ">HHH",
-        packet_type << 12 | 1 << 11 | apid,
-        UNSEGMENTED << 14 | sequence_count,
-        len(data) + PACKET_ERROR_CONTROL_BYTES - 1,
+        raise LocalProtocolError(what, "length", f"{total} bytes", f"at most {limit} bytes")
+    header = PRIMARY_HEADER.encode(
+        version=PACKET_VERSION,
+        packet_type=packet_type,
+        secondary_header=1,
+        apid=apid,
+        sequence_flags=UNSEGMENTED,
+        sequence_count=sequence_count,
+        data_length=len(data) + PACKET_ERROR_CONTROL_BYTES - 1,
     )
     packet = header + data
     return packet + crc16_ccitt(packet).to_bytes(2, "big")

@@ -1,12 +1,12 @@
 """Every message in one table, and the codec that walks it: messages <-> whole space packets.
 
-Nothing that is received raises: what is no packet of this interface becomes a :class:`Malformed`. What is to be sent
-is checked against the table first and raises :class:`LocalProtocolError` with the field and what it allows.
+Nothing that is received raises: what is no packet of this interface becomes a :class:`Malformed`. What is
+to be sent is checked against the table first and raises :class:`LocalProtocolError` with the field and what
+it allows.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Container, Mapping
 from typing import Any
 
@@ -14,7 +14,9 @@ import construct
 
 from .enumerations import MalformedReason
 from .errors import LocalProtocolError
-from .fields import FieldError, FieldViolation, UnknownIdentifier
+from .field_types import FieldError, FieldViolation
+from .fields import UnknownIdentifier
+from .headers import TELECOMMAND_SECONDARY_HEADER, TELEMETRY_SECONDARY_HEADER
 from .messages import Kind, MessageDefinition, MessageRegistry
 from .packets import (
     ACK_ACCEPTANCE,
@@ -58,8 +60,8 @@ def encode_telecommand(
 ) -> bytes:
     """The whole packet of a telecommand, packet error control included.
 
-    ``strict=False`` lets values out that their type can carry but the interface does not allow (ranges, unknown
-    identifiers, the contents of which are then given as octets): to test how a unit refuses them.
+    ``strict=False`` lets values out that their type can carry but the interface does not allow (ranges,
+    unknown identifiers, the contents of which are then given as octets): to test how a unit refuses them.
     LocalProtocolError otherwise, naming message, field, value and what is allowed.
     """
     message = _defined(name, "TC")
@@ -86,11 +88,9 @@ def encode_raw_telecommand(
     ack: int = ACK_ACCEPTANCE | ACK_COMPLETION,
 ) -> bytes:
     """A telecommand packet of any type with any application data, known to the interface or not."""
-    _check("telecommand header", "service", service, 255)
-    _check("telecommand header", "subservice", subservice, 255)
-    _check("telecommand header", "source_id", source_id, 65_535)
-    _check("telecommand header", "ack", ack, 15)
-    header = struct.pack(">BBBH", PUS_VERSION << 4 | ack, service, subservice, source_id)
+    header = TELECOMMAND_SECONDARY_HEADER.encode(
+        pus_version=PUS_VERSION, ack=ack, service=service, subservice=subservice, source_id=source_id
+    )
     return space_packet(TYPE_TELECOMMAND, apid, sequence_count, header + data)
 
 
@@ -111,13 +111,17 @@ def encode_telemetry(
     """
     message = _defined(name, "TM")
     data = _build(message, fields, True)
-    _check("telemetry header", "message_count", message_count, 65_535)
-    _check("telemetry header", "destination_id", destination_id, 65_535)
-    _check("telemetry header", "time_status", time_status, 15)
-    header = struct.pack(
-        ">BBBHH", PUS_VERSION << 4 | time_status, message.service, message.subservice, message_count, destination_id
+    header = TELEMETRY_SECONDARY_HEADER.encode(
+        pus_version=PUS_VERSION,
+        time_status=time_status,
+        service=message.service,
+        subservice=message.subservice,
+        message_count=message_count,
+        destination_id=destination_id,
+        time_coarse=time.coarse,
+        time_fine=time.fine,
     )
-    return space_packet(TYPE_TELEMETRY, apid, sequence_count, header + time.as_bytes() + data)
+    return space_packet(TYPE_TELEMETRY, apid, sequence_count, header + data)
 
 
 def parse_telecommand(raw: bytes, *, apids: Container[int] | None = None) -> Telecommand | Malformed:
@@ -129,14 +133,22 @@ def parse_telecommand(raw: bytes, *, apids: Container[int] | None = None) -> Tel
     header = _accepted_header(raw, TYPE_TELECOMMAND, apids)
     if isinstance(header, Malformed):
         return header
-    version_ack, service, subservice, source_id = struct.unpack_from(">BBBH", raw, PRIMARY_HEADER_BYTES)
-    data = raw[PRIMARY_HEADER_BYTES + TELECOMMAND_SECONDARY_HEADER_BYTES : -2]
-    found = _decoded("TC", raw, header, version_ack >> 4, service, subservice, data)
+    start = PRIMARY_HEADER_BYTES + TELECOMMAND_SECONDARY_HEADER_BYTES
+    second = TELECOMMAND_SECONDARY_HEADER.decode(raw[PRIMARY_HEADER_BYTES:start])
+    found = _decoded("TC", raw, header, second, raw[start:-2])
     if isinstance(found, Malformed):
         return found
     message, fields = found
     return Telecommand(
-        header.apid, header.sequence_count, service, subservice, message.name, fields, source_id, version_ack & 15, raw
+        apid=header.apid,
+        sequence_count=header.sequence_count,
+        service=message.service,
+        subservice=message.subservice,
+        name=message.name,
+        fields=fields,
+        source_id=second["source_id"],
+        ack=second["ack"],
+        raw=raw,
     )
 
 
@@ -146,26 +158,24 @@ def parse_telemetry(raw: bytes) -> Telemetry | Malformed:
     header = _accepted_header(raw, TYPE_TELEMETRY, None)
     if isinstance(header, Malformed):
         return header
-    version_status, service, subservice, message_count, destination_id = struct.unpack_from(
-        ">BBBHH", raw, PRIMARY_HEADER_BYTES
-    )
     start = PRIMARY_HEADER_BYTES + TELEMETRY_SECONDARY_HEADER_BYTES
-    found = _decoded("TM", raw, header, version_status >> 4, service, subservice, raw[start:-2])
+    second = TELEMETRY_SECONDARY_HEADER.decode(raw[PRIMARY_HEADER_BYTES:start])
+    found = _decoded("TM", raw, header, second, raw[start:-2])
     if isinstance(found, Malformed):
         return found
     message, fields = found
     return Telemetry(
-        header.apid,
-        header.sequence_count,
-        service,
-        subservice,
-        message.name,
-        fields,
-        message_count,
-        destination_id,
-        version_status & 15,
-        CucTime.from_bytes(raw[start - 7 : start]),
-        raw,
+        apid=header.apid,
+        sequence_count=header.sequence_count,
+        service=message.service,
+        subservice=message.subservice,
+        name=message.name,
+        fields=fields,
+        message_count=second["message_count"],
+        destination_id=second["destination_id"],
+        time_status=second["time_status"],
+        time=CucTime(second["time_coarse"], second["time_fine"]),
+        raw=raw,
     )
 
 
@@ -183,7 +193,9 @@ def _defined(name: str, kind: Kind) -> MessageDefinition:
     if message is None or message.kind != kind:
         known = REGISTRY.telecommands() if kind == "TC" else REGISTRY.telemetry()
         names = ", ".join(entry.name for entry in known)
-        raise LocalProtocolError("telecommand" if kind == "TC" else "telemetry", "name", name, f"one of {names}")
+        raise LocalProtocolError(
+            "telecommand" if kind == "TC" else "telemetry", "name", name, f"one of {names}"
+        )
     return message
 
 
@@ -193,11 +205,6 @@ def _build(message: MessageDefinition, fields: Mapping[str, Any], strict: bool) 
     except FieldError as error:
         violation = error.violation
         raise LocalProtocolError(message.name, violation.field, violation.value, violation.allowed) from None
-
-
-def _check(what: str, name: str, value: int, highest: int) -> None:
-    if not 0 <= value <= highest:
-        raise LocalProtocolError(what, name, value, f"0..{highest}")
 
 
 def _accepted_header(raw: bytes, packet_type: int, apids: Container[int] | None) -> PacketHeader | Malformed:
@@ -245,11 +252,12 @@ def _accepted_header(raw: bytes, packet_type: int, apids: Container[int] | None)
 
 
 def _decoded(
-    kind: Kind, raw: bytes, header: PacketHeader, version: int, service: int, subservice: int, data: bytes
+    kind: Kind, raw: bytes, header: PacketHeader, second: dict[str, int], data: bytes
 ) -> tuple[MessageDefinition, dict[str, Any]] | Malformed:
     def malformed(reason: MalformedReason, detail: str) -> Malformed:
         return Malformed(reason, detail, raw, header, RequestId.from_packet(raw))
 
+    version, service, subservice = second["pus_version"], second["service"], second["subservice"]
     if version != PUS_VERSION:
         return malformed(MalformedReason.BAD_PUS_VERSION, f"PUS version {version}, expected {PUS_VERSION}")
     message = REGISTRY.by_type(kind, service, subservice)
@@ -262,5 +270,7 @@ def _decoded(
     except UnknownIdentifier as error:
         return malformed(MalformedReason.UNKNOWN_ID, f"{message.name}: {error}")
     except construct.ConstructError as error:
-        first_line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        return malformed(MalformedReason.BAD_FIELDS, f"{message.name}, {len(data)} bytes of data: {first_line}")
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        return malformed(
+            MalformedReason.BAD_FIELDS, f"{message.name}, {len(data)} bytes of data: {lines[-1].strip()}"
+        )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ..enumerations import Mode, Reason, TimeStatus
-from ..fields import CUC, FLOAT32, FLOAT64, UINT8, UINT16, UINT32, Field
+from ..field_types import CUC, FLOAT32, FLOAT64, UINT8, UINT16, UINT32
+from ..fields import Field
 from ..messages import MessageDefinition, ServiceDefinition
 
 _COVARIANCE = "covariance of the small-angle attitude error, sensor axes, "
@@ -25,11 +26,17 @@ SERVICE = ServiceDefinition(
             "Attitude at mid-exposure of one frame, with what it rests on and what it cost.",
             (
                 Field("frame_index", UINT32, meaning="index of the frame, from 0 at the start"),
-                Field("mid_exposure_time", CUC, meaning="on-board time of mid-exposure: the time of the attitude"),
+                Field(
+                    "mid_exposure_time",
+                    CUC,
+                    meaning="on-board time of mid-exposure: the time of the attitude",
+                ),
                 Field("time_status", UINT8, meaning="time reference status", choices=TimeStatus),
                 Field("mode", UINT8, meaning="mode in which the frame was processed", choices=Mode),
                 Field("valid", UINT8, "", 0, 1, "1: quaternion and covariance are valid"),
-                Field("reasons", UINT32, meaning="why the attitude is not valid; 0 when it is", choices=Reason),
+                Field(
+                    "reasons", UINT32, meaning="why the attitude is not valid; 0 when it is", choices=Reason
+                ),
                 Field("q_x", FLOAT64, meaning="q_icrs_to_sensor, vector part x"),
                 Field("q_y", FLOAT64, meaning="q_icrs_to_sensor, vector part y"),
                 Field("q_z", FLOAT64, meaning="q_icrs_to_sensor, vector part z"),
@@ -47,8 +54,15 @@ SERVICE = ServiceDefinition(
                 Field("spots_detected", UINT16, meaning="spots found in the frame or its windows"),
                 Field("stars_identified", UINT16, meaning="of those, stars that the attitude rests on"),
                 Field("windows", UINT16, meaning="detection windows read; 0: the whole frame"),
-                Field("window_half_width_px", UINT16, "px", meaning="half-width of a window; 0: the whole frame"),
-                Field("residual_rms_arcsec", FLOAT32, "arcsec", meaning="rms of the angles between measured and catalogue directions"),
+                Field(
+                    "window_half_width_px", UINT16, "px", meaning="half-width of a window; 0: the whole frame"
+                ),
+                Field(
+                    "residual_rms_arcsec",
+                    FLOAT32,
+                    "arcsec",
+                    meaning="rms of the angles between measured and catalogue directions",
+                ),
                 Field("background_dn", FLOAT32, "DN", meaning="mean background"),
                 Field("noise_dn", FLOAT32, "DN", meaning="standard deviation of the background"),
                 Field("exposure_us", UINT32, "us", meaning="exposure time"),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from ..enumerations import EventId, EventSeverity
 from ..events import EVENT_TABLE
-from ..fields import UINT16, Case, Field, Repeated, Switched
+from ..field_types import UINT16
+from ..fields import Case, Field, Repeated, Switched
 from ..messages import MessageDefinition, ServiceDefinition
 
 _EVENT = Field("event_id", UINT16, meaning="event definition", choices=EventId, identifier=True)
@@ -19,7 +20,9 @@ _TITLES = {
 
 
 def _report(severity: EventSeverity) -> MessageDefinition:
-    cases = {int(event.id): Case(event.name, event.fields) for event in EVENT_TABLE if event.severity is severity}
+    cases = {
+        int(event.id): Case(event.name, event.fields) for event in EVENT_TABLE if event.severity is severity
+    }
     return MessageDefinition(
         "TM",
         5,

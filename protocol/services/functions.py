@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ..enumerations import FunctionId
-from ..fields import UINT8, Case, Field, Switched
+from ..field_types import UINT8
+from ..fields import Case, Field, Switched
 from ..functions import FUNCTION_TABLE
 from ..messages import MessageDefinition, ServiceDefinition
 
@@ -30,8 +31,8 @@ SERVICE = ServiceDefinition(
                     "arguments of the function",
                 ),
             ),
-            tailoring="The function ID is a number, not a character string; each function's arguments are all present, in "
-            "a fixed order, without their number and identifiers.",
+            tailoring="The function ID is a number, not a character string; the arguments of a function are "
+            "all present, in a fixed order, without their number N and their IDs.",
             verification="by function, see the table of functions",
         ),
     ),

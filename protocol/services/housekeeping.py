@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ..enumerations import HousekeepingId
-from ..fields import UINT8, UINT32, Case, Field, Repeated, Switched
+from ..field_types import UINT8, UINT32
+from ..fields import Case, Field, Repeated, Switched
 from ..housekeeping import HOUSEKEEPING_TABLE, MAX_INTERVAL_MS, MIN_INTERVAL_MS
 from ..messages import MessageDefinition, ServiceDefinition
 
@@ -80,7 +81,14 @@ SERVICE = ServiceDefinition(
                     "intervals",
                     (
                         _STRUCTURE,
-                        Field("interval_ms", UINT32, "ms", MIN_INTERVAL_MS, MAX_INTERVAL_MS, "time between two reports"),
+                        Field(
+                            "interval_ms",
+                            UINT32,
+                            "ms",
+                            MIN_INTERVAL_MS,
+                            MAX_INTERVAL_MS,
+                            "time between two reports",
+                        ),
                     ),
                     1,
                     16,

@@ -8,7 +8,8 @@ from typing import Any
 import construct
 
 from ..errors import LocalProtocolError, RemoteProtocolError
-from ..fields import CUC, UINT8, UINT16, UINT32, Data, DataLayout, Element, Field, FieldError
+from ..field_types import CUC, UINT8, UINT16, UINT32, FieldError
+from ..fields import Data, DataLayout, Element, Field
 from ..messages import MessageDefinition, ServiceDefinition
 from ..packets import MAX_TELEMETRY_BYTES, MIN_TELEMETRY_BYTES
 
@@ -36,7 +37,9 @@ def encode_image_header(fields: Mapping[str, Any]) -> bytes:
         return _IMAGE_HEADER.build(fields)
     except FieldError as error:
         violation = error.violation
-        raise LocalProtocolError("image header", violation.field, violation.value, violation.allowed) from None
+        raise LocalProtocolError(
+            "image header", violation.field, violation.value, violation.allowed
+        ) from None
 
 
 def decode_image_header(data: bytes) -> dict[str, Any]:
@@ -47,7 +50,9 @@ def decode_image_header(data: bytes) -> dict[str, Any]:
     try:
         return _IMAGE_HEADER.parse(data[:IMAGE_HEADER_BYTES])
     except construct.ConstructError:
-        raise RemoteProtocolError(f"an image header has {IMAGE_HEADER_BYTES} bytes, got {len(data)}") from None
+        raise RemoteProtocolError(
+            f"an image header has {IMAGE_HEADER_BYTES} bytes, got {len(data)}"
+        ) from None
 
 
 _PART: tuple[Element, ...] = (
@@ -55,14 +60,17 @@ _PART: tuple[Element, ...] = (
     Field("part_number", UINT16, "", 1, None, "part sequence number, from 1"),
     Data("data", 1, MAX_PART_BYTES, "the part"),
 )
-_TAILORING = "Parts of any length up to the packet's; the last one ends the image."
+_TAILORING = (
+    "The length of a part is deduced from the length of the packet for every part, not for the last alone."
+)
 
 SERVICE = ServiceDefinition(
     13,
     "Large packet transfer",
     "6.13, 8.13",
-    "The captured image, cut into parts: header, then pixels, big-endian u16, row by row from the top. An image of one "
-    "part is sent as a last part only when it is also the first: then as first part alone, completion follows.",
+    "The captured image: the image header, then the pixels, big-endian u16, row by row from the top; cut "
+    "into parts of one length, the last of which may be shorter. Part 1 goes as first part, the last one as last "
+    "part, also when only some parts are sent again; an image of a single part goes as last part.",
     (
         MessageDefinition(
             "TM",
@@ -71,7 +79,7 @@ SERVICE = ServiceDefinition(
             "image_first_part",
             "First downlink part report",
             "8.13.2.1",
-            "Part 1; it starts with the image header.",
+            "Part 1; it starts with the image header (see below).",
             _PART,
             _TAILORING,
         ),

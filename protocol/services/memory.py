@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from ..enumerations import MemoryId
-from ..fields import UINT8, UINT16, UINT32, Data, Field
+from ..field_types import UINT8, UINT16, UINT32
+from ..fields import Data, Field
 from ..messages import MessageDefinition, ServiceDefinition
 
 MAX_LOAD_BYTES = 256
 MAX_DUMP_BYTES = 1024
 
 _MEMORY = Field("memory_id", UINT8, meaning="memory", choices=MemoryId, identifier=True)
-_START = Field("start_address", UINT32, "byte", meaning="address of the first byte, counted from the memory's start")
+_START = Field(
+    "start_address", UINT32, "byte", meaning="address of the first byte, counted from the memory's start"
+)
 _CHECKSUM = Field("checksum", UINT16, meaning="CRC-16 of the data, as the packet error control is computed")
 _ONE_AREA = "One memory area per request: the number N of areas is 1 and is not transmitted."
 
@@ -84,7 +87,9 @@ SERVICE = ServiceDefinition(
                 _MEMORY,
                 _START,
                 Field("length", UINT16, "byte", 1, 65_535, "number of bytes"),
-                Field("checksum", UINT16, meaning="CRC-16 of the area, as the packet error control is computed"),
+                Field(
+                    "checksum", UINT16, meaning="CRC-16 of the area, as the packet error control is computed"
+                ),
             ),
             tailoring=_ONE_AREA,
         ),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ..enumerations import ParameterId
-from ..fields import UINT16, Case, Field, Repeated, Switched
+from ..field_types import UINT16
+from ..fields import Case, Field, Repeated, Switched
 from ..messages import MessageDefinition, ServiceDefinition
 from ..parameters import PARAMETER_TABLE
 
@@ -49,9 +50,11 @@ SERVICE = ServiceDefinition(
             "parameter_set",
             "Set parameter values",
             "8.20.2.3",
-            "All values are set or, when one of them is refused, none. They are in force from the next frame start on.",
+            "All values are set or, when one of them is refused, none. They are in force from the next "
+            "frame start on.",
             (Repeated("settings", (_PARAMETER, _VALUE), 1, 64, "parameters and their new values"),),
-            tailoring="All or nothing: one bad setting rejects the request.",
+            tailoring="All or nothing: one bad setting rejects the request, where the standard (6.20.4.2) "
+            "lets the valid settings through.",
             verification="completion at once",
         ),
     ),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ..enumerations import TimeStatus
-from ..fields import CUC, UINT8, Field
+from ..field_types import CUC, UINT8
+from ..fields import Field
 from ..messages import MessageDefinition, ServiceDefinition
 
 MAX_RATE_EXPONENT = 8
@@ -24,7 +25,7 @@ SERVICE = ServiceDefinition(
             "8.9.2.1",
             "Time reports are sent at this rate from the next frame start on.",
             (_RATE,),
-            tailoring="The rate counts frames of the sensor, not transfer frames of a virtual channel.",
+            tailoring="The rate counts frames of the sensor, not transfer frames of a virtual channel (6.9.3).",
             verification="completion at once",
         ),
         MessageDefinition(
@@ -40,8 +41,8 @@ SERVICE = ServiceDefinition(
                 Field("time", CUC, meaning="on-board time at the frame start"),
                 Field("time_status", UINT8, meaning="time reference status", choices=TimeStatus),
             ),
-            tailoring="The report is an ordinary packet of the unit with secondary header, not a spacecraft time packet "
-            "of APID 0.",
+            tailoring="An ordinary packet of the unit, with secondary header, not the spacecraft time packet "
+            "of APID 0 (6.9.4): the unit's time is not the spacecraft's.",
         ),
         MessageDefinition(
             "TC",
@@ -50,8 +51,9 @@ SERVICE = ServiceDefinition(
             "set_time",
             "Set the on-board time",
             "",
-            "The time given is that of the instant at which the last byte of the telecommand was received. The unit "
-            "carries it on to the next frame start and takes it over there; event TIME_SET is sent then.",
+            "The time given is that of the instant at which the last byte of the telecommand was "
+            "received. The unit carries it on to the next frame start and takes it over there; event "
+            "TIME_SET is sent then.",
             (Field("time", CUC, meaning="TAI at the reception of the last byte"),),
             tailoring="Mission-specific message subtype.",
             verification="start; completion when the time has been taken over",
