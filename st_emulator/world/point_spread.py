@@ -1,0 +1,188 @@
+"""Star light on pixels: a Gaussian point spread integrated over each pixel, summed along the path of the
+exposure.
+
+Each sub-step's share on pixel column i is Phi((i + 1/2 - x) / sigma) - Phi((i - 1/2 - x) / sigma), and the
+same by rows (Zhang et al. 2014, equations 4-5, in terms of the normal distribution Phi). Pixels out to those
+that hold x +- 4.5 sigma are lit: at most 1.4e-5 of a star's light is lost. Phi comes from a table of its
+values and a Taylor series to fourth order about the nearest (error under 1e-10): faster than erf, and the
+same on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .noise import digitise, normals_of, words_of
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U64 = NDArray[np.uint64]
+I32 = NDArray[np.int32]
+
+SUPPORT_SIGMA = 4.5
+_PER_SIGMA = 32.0
+_LIMIT = 7.0
+_STRIP_ROWS = 8
+
+
+def _phi_table() -> F64:
+    x = np.arange(-int(_LIMIT * _PER_SIGMA), int(_LIMIT * _PER_SIGMA) + 1) / _PER_SIGMA
+    value = [0.5 * math.erfc(-t / math.sqrt(2.0)) for t in x]
+    density = [math.exp(-0.5 * t * t) / math.sqrt(2.0 * math.pi) for t in x]
+    return np.stack((value, density), axis=1)
+
+
+PHI_TABLE: F64 = _phi_table()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def phi(x: float, table: F64) -> float:
+    """The normal distribution function at x, clamped to +-7."""
+    x = min(max(x, -_LIMIT), _LIMIT)
+    nearest = math.floor(x * _PER_SIGMA + 0.5)
+    x0 = nearest / _PER_SIGMA
+    d = x - x0
+    row = nearest + int(_LIMIT * _PER_SIGMA)
+    x0_squared = x0 * x0
+    series = 1.0 - d * (0.5 * x0 - d * ((x0_squared - 1.0) / 6.0 - d * (x0_squared - 3.0) * x0 / 24.0))
+    return float(table[row, 0] + table[row, 1] * d * series)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shares(first: int, end: int, centre: float, inverse_sigma: float, table: F64, out: F64) -> None:
+    """out[i - first] = the share of the light on pixels i = first .. end - 1 of one axis."""
+    left = phi((first - 0.5 - centre) * inverse_sigma, table)
+    for i in range(first, end):
+        right = phi((i + 0.5 - centre) * inverse_sigma, table)
+        out[i - first] = right - left
+        left = right
+
+
+class Scene(NamedTuple):
+    """What the mean charge of every pixel of one frame follows from.
+
+    xs, ys float64[n, steps], light float64[n], box int32[n, 4]: the stars, see `star_index.image_paths`;
+    sigma_px of the point spread; stray: electrons in the exposure, uniform; glow_columns float32[g, width],
+    glow_rows float32[g, height]: g more layers of stray light, each the product of its column and row
+    factors; response, dark: see `noise.fixed_pattern`; exposure_s.
+    """
+
+    xs: F64
+    ys: F64
+    light: F64
+    box: I32
+    sigma_px: float
+    phi_table: F64
+    stray: float
+    glow_columns: F32
+    glow_rows: F32
+    response: F32
+    dark: F32
+    exposure_s: float
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_stars(x0: int, y0: int, scene: Scene, share_x: F64, share_y: F64, signal: F32) -> None:
+    """Adds the stars' electrons to signal[row - y0, column - x0], stars and sub-steps in their order.
+
+    share_x, share_y: scratch, as long as signal is wide and high.
+    """
+    xs, ys, light, box, table = scene.xs, scene.ys, scene.light, scene.box, scene.phi_table
+    x1, y1 = x0 + signal.shape[1], y0 + signal.shape[0]
+    steps = xs.shape[1]
+    inverse_sigma = 1.0 / scene.sigma_px
+    reach = SUPPORT_SIGMA * scene.sigma_px
+    for k in range(light.shape[0]):
+        if box[k, 0] >= x1 or box[k, 2] <= x0 or box[k, 1] >= y1 or box[k, 3] <= y0:
+            continue
+        each = light[k] / steps
+        for s in range(steps):
+            x, y = xs[k, s], ys[k, s]
+            c0 = max(math.floor(x - reach + 0.5), x0)
+            c1 = min(math.floor(x + reach + 0.5) + 1, x1)
+            r0 = max(math.floor(y - reach + 0.5), y0)
+            r1 = min(math.floor(y + reach + 0.5) + 1, y1)
+            if c0 >= c1 or r0 >= r1:
+                continue
+            _shares(c0, c1, x, inverse_sigma, table, share_x)
+            _shares(r0, r1, y, inverse_sigma, table, share_y)
+            for r in range(r0, r1):
+                row_light = each * share_y[r - r0]
+                for c in range(c0, c1):
+                    signal[r - y0, c - x0] += np.float32(row_light * share_x[c - c0])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_background(x0: int, y0: int, scene: Scene, signal: F32) -> None:
+    """Star light in, mean charge out: adds stray light, applies the response, adds the dark current."""
+    w = signal.shape[1]
+    uniform = np.float32(scene.stray)
+    time = np.float32(scene.exposure_s)
+    for r in range(signal.shape[0]):
+        row = signal[r]
+        for g in range(scene.glow_rows.shape[0]):
+            factor = scene.glow_rows[g, y0 + r]
+            columns = scene.glow_columns[g, x0 : x0 + w]
+            for c in range(w):
+                row[c] += factor * columns[c]
+        gains = scene.response[y0 + r, x0 : x0 + w]
+        currents = scene.dark[y0 + r, x0 : x0 + w]
+        for c in range(w):
+            row[c] = (row[c] + uniform) * gains[c] + currents[c] * time
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def expose(rect: I32, scene: Scene) -> F32:
+    """Mean electrons of the pixels of a rectangle (x0, y0, x1, y1, half-open): float32[rows, columns]."""
+    w, h = rect[2] - rect[0], rect[3] - rect[1]
+    signal = np.zeros((h, w), np.float32)
+    add_stars(rect[0], rect[1], scene, np.empty(w), np.empty(h), signal)
+    add_background(rect[0], rect[1], scene, signal)
+    return signal
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def render(
+    rects: I32,
+    scene: Scene,
+    key: np.uint64,
+    normal_table: F32,
+    detector: F32,
+    offsets: NDArray[np.int64],
+    out: NDArray[np.uint16],
+) -> None:
+    """What the detector puts out in each rectangle, row by row into out[offsets[i]:].
+
+    key: the frame's stream of noise; detector: `noise.detector_constants`. Works through strips of 8 rows, so
+    that the working set stays in the processor's cache.
+    """
+    widest = 1
+    for i in range(rects.shape[0]):
+        widest = max(widest, rects[i, 2] - rects[i, 0])
+    room = np.empty(_STRIP_ROWS * widest, np.float32)
+    share_x, share_y = np.empty(widest), np.empty(_STRIP_ROWS)
+    words = np.empty(widest, np.uint64)
+    deviates = np.empty(widest, np.float32)
+    image_width = scene.response.shape[1]
+    for i in range(rects.shape[0]):
+        x0, y0, x1, y1 = rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3]
+        w = x1 - x0
+        if w <= 0:
+            continue
+        at = offsets[i]
+        for top in range(y0, y1, _STRIP_ROWS):
+            h = min(_STRIP_ROWS, y1 - top)
+            signal = room[: h * w].reshape((h, w))
+            signal[:] = np.float32(0.0)
+            add_stars(x0, top, scene, share_x, share_y, signal)
+            add_background(x0, top, scene, signal)
+            for r in range(h):
+                words_of(key, (top + r) * image_width + x0, words[:w])
+                normals_of(words[:w], normal_table, deviates[:w])
+                digitise(signal[r], words[:w], deviates[:w], normal_table, detector, out[at : at + w])
+                at += w

@@ -1,0 +1,205 @@
+"""Which stars can be in an image, and where their light falls during the exposure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .stars import StarField
+
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+
+_CELL_DEG = 6.0
+
+
+class StarIndex:
+    """The stars of a field sorted into cells of about 6 x 6 degrees, each brightest first."""
+
+    def __init__(self, stars: StarField) -> None:
+        v = stars.unit_vectors
+        bands = round(180.0 / _CELL_DEG)
+        band = np.minimum(
+            ((np.arcsin(np.clip(v[:, 2], -1.0, 1.0)) / np.pi + 0.5) * bands).astype(int), bands - 1
+        )
+        middle = np.pi * ((np.arange(bands) + 0.5) / bands - 0.5)
+        per_band = np.ceil(np.cos(middle) * 360.0 / _CELL_DEG).astype(int)
+        first = np.concatenate(([0], np.cumsum(per_band)))
+        turn = np.arctan2(v[:, 1], v[:, 0]) / (2.0 * np.pi) % 1.0
+        cell = first[band] + np.minimum((turn * per_band[band]).astype(int), per_band[band] - 1)
+        order = np.lexsort((stars.hip, stars.hp_mag, cell))
+        occupied, starts = np.unique(cell[order], return_index=True)
+        self.hip = stars.hip[order]
+        self.hp_mag = stars.hp_mag[order]
+        self.vectors = np.ascontiguousarray(v[order])
+        self.parallax_rad = stars.parallax_rad[order]
+        self.starts = np.append(starts, len(order)).astype(np.int64)
+        sums = np.add.reduceat(self.vectors, starts, axis=0) if len(occupied) else np.zeros((0, 3))
+        self.centres = sums / np.linalg.norm(sums, axis=1, keepdims=True)
+        cosines = np.einsum("ij,ij->i", self.vectors, np.repeat(self.centres, np.diff(self.starts), axis=0))
+        # the rounding of one dot product is allowed for
+        self.radii = (
+            np.arccos(np.clip(np.minimum.reduceat(cosines, starts), -1.0, 1.0)) + 1e-7
+            if len(occupied)
+            else np.zeros(0)
+        )
+
+    def __len__(self) -> int:
+        return int(self.hip.shape[0])
+
+    def within(self, axis: F64, radius_rad: float, limit_mag: float) -> I32:
+        """Numbers (in this index's order) of the stars within radius_rad of a unit vector with Hp <
+        limit_mag."""
+        return stars_within(
+            axis,
+            radius_rad,
+            np.float32(limit_mag),
+            self.centres,
+            self.radii,
+            self.starts,
+            self.vectors,
+            self.hp_mag,
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stars_within(
+    axis: F64,
+    radius: float,
+    limit_mag: np.float32,
+    centres: F64,
+    radii: F64,
+    starts: NDArray[np.int64],
+    vectors: F64,
+    hp_mag: NDArray[np.float32],
+) -> I32:
+    """See `StarIndex.within`."""
+    cells = np.empty(centres.shape[0], np.int32)
+    n_cells = 0
+    room = 0
+    for c in range(centres.shape[0]):
+        cosine = axis[0] * centres[c, 0] + axis[1] * centres[c, 1] + axis[2] * centres[c, 2]
+        reach = radius + radii[c]
+        if reach >= math.pi or cosine >= math.cos(reach):
+            cells[n_cells] = c
+            n_cells += 1
+            room += starts[c + 1] - starts[c]
+    found = np.empty(room, np.int32)
+    n = 0
+    least = math.cos(min(radius, math.pi))
+    for k in range(n_cells):
+        c = cells[k]
+        for i in range(starts[c], starts[c + 1]):
+            if hp_mag[i] >= limit_mag:
+                break
+            if axis[0] * vectors[i, 0] + axis[1] * vectors[i, 1] + axis[2] * vectors[i, 2] >= least:
+                found[n] = i
+                n += 1
+    return found[:n].copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def image_paths(
+    chosen: I32,
+    vectors: F64,
+    parallax: NDArray[np.float32],
+    electrons_s: F64,
+    observer_au: F64,
+    beta: F64,
+    occulting: F64,
+    attitudes: F64,
+    optics: F64,
+    reach_px: float,
+    exposure_s: float,
+    false_spots: F64,
+) -> tuple[I32, F64, F64, F64, I32]:
+    """Where the chosen stars' light falls: the stars whose light touches the image, in the order given.
+
+    vectors, parallax, electrons_s are indexed by chosen. observer_au: barycentric, for the parallax (zeros:
+    none). beta: the observer's velocity over the speed of light, for the aberration (zeros: none). occulting:
+    [x, y, z, cos]: stars within acos(cos) of that unit vector are hidden (cos > 1: none). attitudes [steps,
+    3, 3]: A(q_icrs_to_sensor) at the middle of each sub-step. optics: [width, height, focal, cx, cy, k1, k2,
+    p1, p2]. false_spots [m, 3]: x_px, y_px, electrons in the exposure; they stand still and come after the
+    stars with the number -1.
+
+    Returns (number int32[n], x_px float64[n, steps], y_px, electrons float64[n], box int32[n, 4]): box is x0,
+    y0, x1, y1, half-open, of the pixels touched, clipped to the image.
+    """
+    steps = attitudes.shape[0]
+    room = chosen.shape[0] + false_spots.shape[0]
+    number = np.empty(room, np.int32)
+    xs = np.empty((room, steps))
+    ys = np.empty((room, steps))
+    light = np.empty(room)
+    box = np.empty((room, 4), np.int32)
+    width, height = int(optics[0]), int(optics[1])
+    focal, cx, cy, k1, k2, p1, p2 = (
+        optics[2],
+        optics[3],
+        optics[4],
+        optics[5],
+        optics[6],
+        optics[7],
+        optics[8],
+    )
+    beta_squared = beta[0] * beta[0] + beta[1] * beta[1] + beta[2] * beta[2]
+    inverse_gamma = math.sqrt(1.0 - beta_squared)
+    n = 0
+    for k in range(room):
+        star = -1
+        amount = 0.0
+        ux = uy = uz = 0.0
+        if k < chosen.shape[0]:
+            star = chosen[k]
+            amount = electrons_s[star] * exposure_s
+            ux, uy, uz = vectors[star, 0], vectors[star, 1], vectors[star, 2]
+            shift = np.float64(parallax[star])
+            ux -= shift * observer_au[0]
+            uy -= shift * observer_au[1]
+            uz -= shift * observer_au[2]
+            norm = math.sqrt(ux * ux + uy * uy + uz * uz)
+            ux, uy, uz = ux / norm, uy / norm, uz / norm
+            if ux * occulting[0] + uy * occulting[1] + uz * occulting[2] > occulting[3]:
+                continue
+            # as `stars.aberrate`, but for the norm, which a projection does not feel
+            along = 1.0 + (ux * beta[0] + uy * beta[1] + uz * beta[2]) / (1.0 + inverse_gamma)
+            ux = inverse_gamma * ux + along * beta[0]
+            uy = inverse_gamma * uy + along * beta[1]
+            uz = inverse_gamma * uz + along * beta[2]
+        low_x = low_y = 1e9
+        high_x = high_y = -1e9
+        for s in range(steps):
+            if star >= 0:
+                a = attitudes[s]
+                z = a[2, 0] * ux + a[2, 1] * uy + a[2, 2] * uz
+                if z < 0.05:
+                    low_x = 1e9
+                    high_x = -1e9
+                    break
+                x = (a[0, 0] * ux + a[0, 1] * uy + a[0, 2] * uz) / z
+                y = (a[1, 0] * ux + a[1, 1] * uy + a[1, 2] * uz) / z
+                r2 = x * x + y * y
+                radial = 1.0 + r2 * (k1 + r2 * k2)
+                px = cx + focal * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x))
+                py = cy + focal * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y)
+            else:
+                px, py = false_spots[k - chosen.shape[0], 0], false_spots[k - chosen.shape[0], 1]
+                amount = false_spots[k - chosen.shape[0], 2]
+            xs[n, s] = px
+            ys[n, s] = py
+            low_x, high_x = min(low_x, px), max(high_x, px)
+            low_y, high_y = min(low_y, py), max(high_y, py)
+        x0 = max(math.floor(max(low_x, -1e6) - reach_px + 0.5), 0)
+        y0 = max(math.floor(max(low_y, -1e6) - reach_px + 0.5), 0)
+        x1 = min(math.floor(min(high_x, 1e6) + reach_px + 0.5) + 1, width)
+        y1 = min(math.floor(min(high_y, 1e6) + reach_px + 0.5) + 1, height)
+        if high_x < low_x or x0 >= x1 or y0 >= y1:
+            continue
+        number[n] = star
+        light[n] = amount
+        box[n, 0], box[n, 1], box[n, 2], box[n, 3] = x0, y0, x1, y1
+        n += 1
+    return number[:n].copy(), xs[:n].copy(), ys[:n].copy(), light[:n].copy(), box[:n].copy()
