@@ -1,0 +1,80 @@
+"""An attitude report as numbers to compute with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from st_emulator.protocol.enumerations import Mode, Reason
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """One attitude report (130,1).
+
+    time_ns: middle of the exposure, on-board TAI ns since 1958-01-01. q_icrs_to_sensor: float64[4], x y z w
+    (scalar last), v_sensor = A(q) v_icrs. covariance_rad2: float64[3, 3] of the small-angle error in sensor
+    axes. rate_rad_s: float64[3], sensor relative to ICRS in sensor axes, None when the unit says it is not
+    valid.
+    """
+
+    time_ns: int
+    frame_index: int
+    mode: Mode | int
+    valid: bool
+    reasons: Reason
+    q_icrs_to_sensor: NDArray[np.float64]
+    covariance_rad2: NDArray[np.float64]
+    rate_rad_s: NDArray[np.float64] | None
+    spots_detected: int
+    stars_identified: int
+    window_half_width_px: int
+    residual_rms_arcsec: float
+    cycles: int
+    latency_us: int
+    late: bool
+    received_ns: int
+
+    @classmethod
+    def from_fields(cls, fields: Mapping[str, Any], received_ns: int) -> Attitude:
+        """From the decoded fields of an attitude report."""
+        covariance = [[fields[f"covariance_{min(a, b)}{max(a, b)}"] for b in "xyz"] for a in "xyz"]
+        rate = np.array([fields[f"rate_{axis}"] for axis in "xyz"], dtype=np.float64)
+        return cls(
+            time_ns=fields["mid_exposure_time"].to_ns(),
+            frame_index=fields["frame_index"],
+            mode=Mode(fields["mode"]),
+            valid=bool(fields["valid"]),
+            reasons=Reason(fields["reasons"]),
+            q_icrs_to_sensor=np.array([fields[f"q_{axis}"] for axis in "xyzw"], dtype=np.float64),
+            covariance_rad2=np.array(covariance, dtype=np.float64),
+            rate_rad_s=rate if fields["rate_valid"] else None,
+            spots_detected=fields["spots_detected"],
+            stars_identified=fields["stars_identified"],
+            window_half_width_px=fields["window_half_width_px"],
+            residual_rms_arcsec=fields["residual_rms_arcsec"],
+            cycles=fields["cycles"],
+            latency_us=fields["latency_us"],
+            late=bool(fields["late"]),
+            received_ns=received_ns,
+        )
+
+    @property
+    def pointing_deg(self) -> tuple[float, float, float]:
+        """Right ascension and declination of the boresight, roll (position angle of image up, -Y), degrees.
+
+        The rows of A(q) are the sensor's axes in ICRS. Roll counts from north through east, 0 to 360.
+        """
+        x, y, z, w = self.q_icrs_to_sensor
+        boresight = np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
+        up = -np.array([2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)])
+        ra = np.arctan2(boresight[1], boresight[0])
+        dec = np.arctan2(boresight[2], np.hypot(boresight[0], boresight[1]))
+        east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+        north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+        roll = np.arctan2(up @ east, up @ north)
+        return float(np.degrees(ra) % 360.0), float(np.degrees(dec)), float(np.degrees(roll) % 360.0)

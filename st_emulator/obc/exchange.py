@@ -1,0 +1,351 @@
+"""Telecommands out, verification matched, telemetry in: what every service of the unit is used through."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from st_emulator.links import Link, open_link
+from st_emulator.protocol.enumerations import EventId
+from st_emulator.protocol.framing import slip_encode
+from st_emulator.protocol.packets import Telemetry
+
+from .attitude import Attitude
+from .errors import TelecommandTimeout, TelemetryTimeout, VerificationError
+from .naming import member, name_of
+from .obc_protocol import Counters, ObcProtocol, TelemetryReceived
+from .observed import EVENT_REPORTS, Event, ObservedUnit
+from .reading import LiveReader, Reader
+from .recorder import Recorder
+from .verification import NS_PER_S, State, Verification
+
+KEPT_PACKETS = 10_000
+DEFAULT_TIMEOUT_S = 5.0
+Predicate = Callable[[Telemetry], Any]
+
+
+@dataclass(frozen=True)
+class Received:
+    """A telemetry packet, its number in the order of arrival (from 0) and its reception time."""
+
+    number: int
+    telemetry: Telemetry
+    time_ns: int
+
+
+class Exchange:
+    """One end of a link that speaks the unit's protocol.
+
+    Telemetry is read all the time; what is asked for by name is looked for among the packets that came
+    since a mark (by default since the call). Every wait has a time limit. Used as a context manager it
+    closes the link.
+
+    apid: the unit's application process; None takes telemetry of any and answers the first that is heard.
+    source_id: the OBC's identity. recorder: where everything is written.
+    reader: how the link is read; None reads it in a thread in real time.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        *,
+        apid: int | None = None,
+        source_id: int = 0,
+        recorder: Recorder | None = None,
+        reader: Reader | None = None,
+    ) -> None:
+        self.link = link
+        self.unit = ObservedUnit()
+        self._protocol = ObcProtocol(apid, source_id)
+        self._recorder = recorder
+        self._reader: Reader = LiveReader() if reader is None else reader
+        self._received: deque[Received] = deque(maxlen=KEPT_PACKETS)
+        self._next_number = 0
+        self._closed = False
+        self.started_ns = self._reader.now_ns()
+        if recorder is not None:
+            session = {"link": link.name, "apid": apid, "source_id": source_id}
+            recorder.begin(self.started_ns, session | {"started_utc": self._reader.utc_now().isoformat()})
+        self._reader.start(link, self._take)
+
+    @classmethod
+    def connect(
+        cls,
+        link: str,
+        *,
+        apid: int | None = None,
+        source_id: int = 0,
+        baud: int = 115_200,
+        record: str | Path | None = None,
+    ) -> Self:
+        """An OBC on a link that is opened here: `pty:/path`, `serial:/dev/ttyUSB0@115200` or a bare path.
+
+        record: folder for a recording. LinkError or RecordingError when it cannot be.
+        """
+        opened = open_link(link, role="obc", baud=baud)
+        try:
+            recorder = None if record is None else Recorder(record)
+            return cls(opened, apid=apid, source_id=source_id, recorder=recorder)
+        except BaseException:
+            opened.close()
+            raise
+
+    def close(self) -> None:
+        """Stop listening, close link and recording."""
+        if self._closed:
+            return
+        self._closed = True
+        self._reader.stop()
+        self.link.close()
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exception_type: type[BaseException] | None,
+        exception: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # Telecommands
+
+    def send(
+        self,
+        name: str,
+        /,
+        *,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        ack: int | None = None,
+        apid: int | None = None,
+        strict: bool = True,
+        **fields: Any,
+    ) -> Verification:
+        """Send a telecommand and wait until its verification is complete.
+
+        Enumerations may be given by name: `send("function", function_id="RESET", kind="WARM")`. ack: flags
+        for the reports asked for (8 acceptance, 4 start, 2 progress, 1 completion; None: all that the unit
+        gives). strict: False lets out-of-range values go to the unit. VerificationError when the unit
+        reports a failure, TelecommandTimeout when a report does not come, LocalProtocolError when it cannot
+        be sent.
+        """
+        verification = self.begin(name, timeout_s=timeout_s, ack=ack, apid=apid, strict=strict, **fields)
+        return self.finish(verification)
+
+    def begin(
+        self,
+        name: str,
+        /,
+        *,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        ack: int | None = None,
+        apid: int | None = None,
+        strict: bool = True,
+        **fields: Any,
+    ) -> Verification:
+        """As `send`, without waiting: the record returned is brought up to date as reports come."""
+        with self._reader.lock:
+            line, verification = self._protocol.telecommand(
+                name,
+                fields,
+                self._reader.now_ns(),
+                ack=ack,
+                timeout_ns=round(timeout_s * NS_PER_S),
+                apid=apid,
+                strict=strict,
+            )
+            if self._recorder is not None:
+                self._recorder.sent(name, fields, verification, line)
+            self.link.write(line)
+        return verification
+
+    def finish(self, verification: Verification) -> Verification:
+        """Wait for the end of a telecommand sent with `begin`; raises as `send` does."""
+        while not verification.finished:
+            # The deadline may move while we wait.
+            self._reader.wait(lambda: verification.finished, verification.deadline_ns)
+            self._expire()
+        if verification.state is State.FAILED:
+            raise VerificationError(verification)
+        if verification.state is State.TIMED_OUT:
+            timeout_s = (verification.deadline_ns - verification.sent_ns) / NS_PER_S
+            raise TelecommandTimeout(verification.label, verification.missing, timeout_s)
+        return verification
+
+    def request(
+        self,
+        name: str,
+        reply: str,
+        predicate: Predicate | None = None,
+        /,
+        *,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        ack: int | None = None,
+        **fields: Any,
+    ) -> tuple[Received, Verification]:
+        """Send a telecommand that is answered by telemetry `reply`; the answer and the complete
+        verification.
+        """
+        mark = self.mark()
+        verification = self.begin(name, timeout_s=timeout_s, ack=ack, **fields)
+        found = self._find(
+            _named(reply, predicate),
+            mark,
+            verification.deadline_ns,
+            give_up=lambda: verification.state is State.FAILED,
+        )
+        self.finish(verification)
+        if found is None:
+            raise TelecommandTimeout(verification.label, (reply,), timeout_s)
+        return found, verification
+
+    def send_raw(self, data: bytes, *, framed: bool = False) -> int:
+        """Put bytes on the wire as they are (`framed`: as one SLIP frame); the number of bytes taken."""
+        with self._reader.lock:
+            return self.link.write(slip_encode(data) if framed else data)
+
+    # Telemetry
+
+    def mark(self) -> int:
+        """The present place in the stream of telemetry, for `since`."""
+        with self._reader.lock:
+            return self._next_number
+
+    def next(self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S, *, since: int | None = None) -> Telemetry:
+        """The next telemetry called `name`. TelemetryTimeout when none comes in time."""
+        return self.wait_for(name, None, timeout_s, since=since)
+
+    def wait_for(
+        self,
+        name: str,
+        predicate: Predicate | None = None,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        *,
+        since: int | None = None,
+    ) -> Telemetry:
+        """The first telemetry called `name` for which `predicate(telemetry)` is true.
+
+        since: a `mark()` from which on packets count; None: from now. TelemetryTimeout when it does not come.
+        """
+        mark = self.mark() if since is None else since
+        found = self._find(_named(name, predicate), mark, self._deadline_ns(timeout_s))
+        if found is None:
+            seen = sum(entry.telemetry.name == name for entry in self._since(mark))
+            last = f"{seen} came, none as wanted" if seen else "none came"
+            raise TelemetryTimeout(f"telemetry {name}", timeout_s, last)
+        return found.telemetry
+
+    def wait_for_event(
+        self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S, *, since: int | None = None
+    ) -> Event:
+        """The first event called `name`, such as TRACKING_LOST; `since` and errors as in `wait_for`."""
+        number = member(EventId, name)
+        mark = self.mark() if since is None else since
+
+        def fits(telemetry: Telemetry) -> bool:
+            return telemetry.name in EVENT_REPORTS and telemetry.fields["event_id"] == number
+
+        found = self._find(fits, mark, self._deadline_ns(timeout_s))
+        if found is None:
+            raise TelemetryTimeout(f"event {name_of(EventId, number)}", timeout_s)
+        telemetry = found.telemetry
+        severity = EVENT_REPORTS[telemetry.name]
+        return Event(number, severity, telemetry.fields["data"], telemetry.time, found.time_ns)
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass and telemetry come in."""
+        self._reader.wait(lambda: False, self._deadline_ns(seconds))
+        self._expire()
+
+    def attitudes(self) -> list[Attitude]:
+        """Every attitude report received (the last 100,000)."""
+        with self._reader.lock:
+            return list(self.unit.attitudes)
+
+    def events(self) -> list[Event]:
+        """Every event received (the last 10,000)."""
+        with self._reader.lock:
+            return list(self.unit.events)
+
+    def telemetry_since(self, mark: int = 0) -> list[Received]:
+        """Packets since a mark (the last 10,000)."""
+        with self._reader.lock:
+            return list(self._since(mark))
+
+    @property
+    def counters(self) -> Counters:
+        """What has happened on the wire."""
+        return self._protocol.counters
+
+    @property
+    def destination_apid(self) -> int:
+        """Where telecommands go."""
+        return self._protocol.destination_apid
+
+    def now_ns(self) -> int:
+        """The OBC's own time, in which reception times are."""
+        return self._reader.now_ns()
+
+    # Within
+
+    def _take(self, data: bytes, now_ns: int) -> None:
+        """What the reader has read; called with its lock held."""
+        for event in self._protocol.receive(data, now_ns):
+            if isinstance(event, TelemetryReceived):
+                self._received.append(Received(self._next_number, event.telemetry, event.time_ns))
+                self._next_number += 1
+                self.unit.take(event.telemetry, event.time_ns)
+                if self._recorder is not None:
+                    self._recorder.telemetry(event.telemetry, event.time_ns)
+            elif self._recorder is not None:
+                self._recorder.event(event)
+
+    def _expire(self) -> None:
+        with self._reader.lock:
+            for event in self._protocol.expire(self._reader.now_ns()):
+                if self._recorder is not None:
+                    self._recorder.event(event)
+
+    def _deadline_ns(self, timeout_s: float, begun_ns: int | None = None) -> int:
+        return (self._reader.now_ns() if begun_ns is None else begun_ns) + round(timeout_s * NS_PER_S)
+
+    def _since(self, mark: int) -> list[Received]:
+        count = min(self._next_number - mark, len(self._received))
+        return list(islice(reversed(self._received), max(0, count)))[::-1]
+
+    def _find(
+        self,
+        fits: Callable[[Telemetry], Any],
+        mark: int,
+        deadline_ns: int,
+        give_up: Callable[[], bool] = lambda: False,
+    ) -> Received | None:
+        """The first packet since `mark` that fits; None when `give_up()` or at the deadline."""
+        found: list[Received] = []
+        looked_at = mark
+
+        def search() -> bool:
+            nonlocal looked_at
+            for entry in self._since(looked_at):
+                looked_at = entry.number + 1
+                if fits(entry.telemetry):
+                    found.append(entry)
+                    return True
+            return give_up()
+
+        self._reader.wait(search, deadline_ns)
+        return found[0] if found else None
+
+
+def _named(name: str, predicate: Predicate | None) -> Predicate:
+    if predicate is None:
+        return lambda telemetry: telemetry.name == name
+    return lambda telemetry: telemetry.name == name and predicate(telemetry)

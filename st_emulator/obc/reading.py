@@ -1,0 +1,163 @@
+"""How an OBC listens: beside its caller in a thread, or step by step under somebody else's clock."""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from typing import Protocol
+
+from st_emulator.links import Link, LinkError
+
+POLL_INTERVAL_S = 0.001
+STEPPED_EPOCH = datetime(2026, 1, 1, tzinfo=UTC)
+TakeBytes = Callable[[bytes, int], None]
+
+
+class Reader(Protocol):
+    """Brings what arrives on a link to `take(data, now_ns)` and lets a caller wait for what comes of it.
+
+    `take` is called with `lock` held, and never twice at the same time.
+    """
+
+    lock: threading.RLock
+
+    def now_ns(self) -> int:
+        """The reader's time, nanoseconds from an arbitrary start."""
+        ...
+
+    def utc_now(self) -> datetime:
+        """The civil time that belongs to `now_ns()`."""
+        ...
+
+    def start(self, link: Link, take: TakeBytes) -> None:
+        """Begin to listen."""
+        ...
+
+    def wait(self, done: Callable[[], bool], deadline_ns: int) -> bool:
+        """Listen until `done()` (True) or `deadline_ns` (False); `done` is called with `lock` held.
+
+        LinkError when the link has gone.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Listen no more; the link itself stays open."""
+        ...
+
+
+class LiveReader:
+    """Listens in a thread of its own, in real time: a byte's time is when it was read."""
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self._changed = threading.Condition(self.lock)
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+        self._failure: Exception | None = None
+        self._wake_fd = -1
+
+    def now_ns(self) -> int:
+        """The computer's monotonic clock."""
+        return time.monotonic_ns()
+
+    def utc_now(self) -> datetime:
+        """The computer's civil time."""
+        return datetime.now(UTC)
+
+    def start(self, link: Link, take: TakeBytes) -> None:
+        """Begin to listen."""
+        wake_read_fd, self._wake_fd = os.pipe()
+        self._thread = threading.Thread(
+            target=self._listen, args=(link, take, wake_read_fd), name="obc-reader", daemon=True
+        )
+        self._thread.start()
+
+    def wait(self, done: Callable[[], bool], deadline_ns: int) -> bool:
+        """Sleep until `done()` or the deadline; what the thread could not do is raised here."""
+        with self._changed:
+            while not done():
+                if self._failure is not None:
+                    raise self._failure
+                left_ns = deadline_ns - self.now_ns()
+                if left_ns <= 0:
+                    return False
+                self._changed.wait(left_ns / 1e9)
+            return True
+
+    def stop(self) -> None:
+        """End the thread."""
+        if self._thread is None:
+            return
+        self._stopping.set()
+        os.close(self._wake_fd)  # its other end becomes readable
+        self._thread.join()
+        self._thread = None
+
+    def _listen(self, link: Link, take: TakeBytes, wake_fd: int) -> None:
+        try:
+            fd = link.fileno()
+            waited_for = [wake_fd] if fd is None else [fd, wake_fd]
+            timeout_s = POLL_INTERVAL_S if fd is None else None
+            while not self._stopping.is_set():
+                select.select(waited_for, [], [], timeout_s)
+                data = link.read()
+                if data:
+                    now_ns = self.now_ns()
+                    with self._changed:
+                        take(data, now_ns)
+                        self._changed.notify_all()
+        except Exception as error:  # whatever it is, it must reach the caller: nobody looks at a thread
+            with self._changed:
+                self._failure = error
+                self._changed.notify_all()
+        finally:
+            os.close(wake_fd)
+
+
+class SteppedReader:
+    """Listens only while somebody waits, and makes the time itself: `step(now_ns)` runs the other side.
+
+    Nothing depends on the computer's clock, so that a run gives the same every time.
+    """
+
+    def __init__(self, step: Callable[[int], None], step_ns: int = 1_000_000) -> None:
+        self.lock = threading.RLock()
+        self._step = step
+        self._step_ns = step_ns
+        self._now_ns = 0
+        self._link: Link | None = None
+        self._take: TakeBytes | None = None
+
+    def now_ns(self) -> int:
+        """Steps so far, as time."""
+        return self._now_ns
+
+    def utc_now(self) -> datetime:
+        """Steps so far, counted from STEPPED_EPOCH."""
+        return STEPPED_EPOCH + timedelta(microseconds=self._now_ns // 1000)
+
+    def start(self, link: Link, take: TakeBytes) -> None:
+        """Begin to listen."""
+        self._link, self._take = link, take
+
+    def wait(self, done: Callable[[], bool], deadline_ns: int) -> bool:
+        """Make steps until `done()` or the deadline."""
+        if self._link is None or self._take is None:
+            raise LinkError("stepped: the reader is not listening to any link")
+        while True:
+            if data := self._link.read():
+                self._take(data, self._now_ns)
+            if done():
+                return True
+            if self._now_ns >= deadline_ns:
+                return False
+            self._now_ns = min(self._now_ns + self._step_ns, deadline_ns)
+            self._step(self._now_ns)
+
+    def stop(self) -> None:
+        """Listen no more."""
+        self._link = self._take = None

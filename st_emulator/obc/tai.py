@@ -1,0 +1,45 @@
+"""On-board time (TAI since 1958-01-01) and civil time (UTC)."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import erfa
+
+from st_emulator.protocol.packets import CucTime
+
+EPOCH_1958 = datetime(1958, 1, 1, tzinfo=UTC)
+NS_PER_S = 1_000_000_000
+_NS_PER_US = 1_000
+
+
+def tai_minus_utc_s(moment: datetime) -> float:
+    """Leap seconds at `moment` (IERS, as in ERFA's `dat`); before 1972 10 s, ASSUMED: of no use on board."""
+    utc = moment.astimezone(UTC)
+    if utc.year < 1972:
+        return 10.0
+    return float(erfa.dat(utc.year, utc.month, utc.day, 0.0))
+
+
+def tai_ns_from_utc(moment: datetime) -> int:
+    """TAI nanoseconds since 1958-01-01 of `moment`; ValueError when it has no time zone or is earlier."""
+    if moment.tzinfo is None:
+        raise ValueError(f"{moment.isoformat()}: a time zone is needed, such as {moment.isoformat()}Z")
+    since = moment - EPOCH_1958
+    elapsed_us = (since.days * 86_400 + since.seconds) * 1_000_000 + since.microseconds
+    tai_ns = elapsed_us * _NS_PER_US + round(tai_minus_utc_s(moment) * NS_PER_S)
+    if tai_ns < 0:
+        raise ValueError(f"{moment.isoformat()}: on-board time begins at 1958-01-01")
+    return tai_ns
+
+
+def utc_from_cuc(time: CucTime) -> datetime:
+    """The UTC moment of an on-board time, to the microsecond; a leap second reads as the second after it."""
+    tai = EPOCH_1958 + timedelta(microseconds=time.to_ns() // _NS_PER_US)
+    utc = tai - timedelta(seconds=tai_minus_utc_s(tai))
+    return tai - timedelta(seconds=tai_minus_utc_s(utc))
+
+
+def seconds(time: CucTime) -> float:
+    """TAI seconds since 1958-01-01 as a float (good to 0.5 us)."""
+    return time.coarse + time.fine / (1 << 24)
