@@ -1,0 +1,71 @@
+"""What one unit's firmware is set to: filled from the unit's file and from the on-board parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .catalogue.pairs import PairCatalogue
+from .catalogue.star_catalogue import StarCatalogue
+from .geometry import CameraGeometry
+from .identification.interface import IdentificationAlgorithm, IdentificationParameters
+from .identification.pyramid import identify as identify_by_pyramid
+from .image.detection import DetectionParameters
+from .tracking import TrackingParameters
+
+__all__ = ["CentroidError", "FirmwareConfiguration", "StarTables"]
+
+
+@dataclass(frozen=True)
+class CentroidError:
+    """Expected error of a centroid, for the weights of the attitude and its covariance.
+
+    Each axis: sigma^2 = floor_px^2 + (psf_sigma_px^2) / (flux electrons) + (window_factor noise / flux)^2:
+    what the pixels leave over, the photons of the star, and the noise of the background in the window of
+    the centre of mass, where window_factor = sqrt(sum x^2) = (2 h + 1) sqrt(h (h + 1) / 3) of a square
+    window of half-width h.
+    """
+
+    floor_px: float = 0.01
+    psf_sigma_px: float = 0.7
+    electrons_per_dn: float = 1.0
+    half_window_px: int = 2
+
+    @property
+    def window_factor(self) -> float:
+        """sqrt of the sum of x^2 over the window."""
+        h = self.half_window_px
+        return (2.0 * h + 1.0) * float((h * (h + 1.0) / 3.0) ** 0.5)
+
+
+@dataclass(frozen=True)
+class FirmwareConfiguration:
+    """Everything that process_frame needs besides frame and tables; immutable.
+
+    detection.exposure_s is replaced by the exposure of each frame.
+    max_spots: so many of the brightest spots of a full frame are given to identification.
+    blinded_background_dn: a background above this blinds the camera.
+    aberration_correction: correct for stellar aberration once the on-board time is set.
+    velocity_km_s: of the spacecraft about the Earth, ICRS.
+    solved_validity_ns: an attitude older than this says nothing about the rate. ASSUMED: 2 s, within which
+        the unit must be back after too high a rate.
+    """
+
+    geometry: CameraGeometry
+    detection: DetectionParameters
+    identification: IdentificationParameters
+    tracking: TrackingParameters
+    centroid_error: CentroidError = CentroidError()
+    identify: IdentificationAlgorithm = identify_by_pyramid
+    max_spots: int = 60
+    blinded_background_dn: float = 60_000.0
+    aberration_correction: bool = True
+    velocity_km_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    solved_validity_ns: int = 2_000_000_000
+
+
+@dataclass(frozen=True)
+class StarTables:
+    """The catalogue in the unit's memory: one for both modes, with its pairs for lost in space."""
+
+    catalogue: StarCatalogue
+    pairs: PairCatalogue

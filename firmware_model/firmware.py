@@ -1,0 +1,481 @@
+"""One frame through the firmware: pixels in, attitude or its reasons out. All memory is in the state."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from .aberration import SPEED_OF_LIGHT_KM_S, apparent_kernel, earth_velocity_km_s
+from .attitude import AttitudeSolution, angular_rate, q_method
+from .configuration import FirmwareConfiguration, StarTables
+from .identification.interface import Identification
+from .image.detection import DetectionParameters, detect
+from .image.frame import Frame
+from .image.spots import Spots, WindowStatus
+from .image.windows import detect_in_windows
+from .modes import Mode, ModeEvent
+from .reasons import Reason
+from .tracking import TrackingPlan, plan_windows, verify_by_pivot
+from .work import Work
+
+__all__ = [
+    "Acquisition",
+    "FirmwareState",
+    "FrameContext",
+    "FrameResult",
+    "IdentifiedStars",
+    "process_frame",
+]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int32]
+
+_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+_NO_VELOCITY = np.zeros(3)
+_NO_RECTS = np.zeros((0, 4), np.int32)
+_ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
+# A merged window gives so many spots more than it has stars, so that a false one does not crowd out a star.
+_SPARE_SPOTS = 2
+
+
+class Acquisition(IntEnum):
+    """How a frame is to be searched; the numbers are those of the modes."""
+
+    LOST_IN_SPACE = int(Mode.LOST_IN_SPACE)
+    TRACKING = int(Mode.TRACKING)
+
+
+@dataclass(frozen=True)
+class FrameContext:
+    """What the firmware knows about a frame besides its pixels.
+
+    t_mid_ns: mid-exposure, ns since power-on; exposure_ns; tai_ns: on-board time of mid-exposure (TAI, ns
+        since 1958-01-01), None while the time is not set.
+    """
+
+    frame_index: int
+    acquisition: Acquisition
+    t_mid_ns: int
+    exposure_ns: int
+    tai_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class FirmwareState:
+    """What is carried from frame to frame.
+
+    q_icrs_to_sensor, covariance_rad2, t_ns: the last valid attitude, or None; covariance None where it was
+        sent to the unit rather than measured. pivot: its brightest star, row of the catalogue, -1 without.
+    solved, solved_t_ns: the last attitude solved, also where it was not valid because the rate was too high.
+    missed: consecutive tracking frames without attitude.
+    """
+
+    q_icrs_to_sensor: FloatArray | None = None
+    covariance_rad2: FloatArray | None = None
+    t_ns: int = 0
+    pivot: int = -1
+    solved: FloatArray | None = None
+    solved_covariance_rad2: FloatArray | None = None
+    solved_t_ns: int = 0
+    missed: int = 0
+
+    @classmethod
+    def track_from(cls, q_icrs_to_sensor: FloatArray, t_ns: int) -> FirmwareState:
+        """State from which tracking starts at an attitude that was sent to the unit, valid at t_ns.
+
+        Raises ValueError unless the quaternion's length is 1 within 1e-3; it is then made canonical.
+        """
+        q = np.asarray(q_icrs_to_sensor, np.float64)
+        length = float(np.sqrt(q @ q)) if q.shape == (4,) else math.nan
+        if not abs(length - 1.0) < 1e-3:
+            raise ValueError(f"not a unit quaternion: {q_icrs_to_sensor}")
+        return cls(q_icrs_to_sensor=q / math.copysign(length, float(q[3])), t_ns=t_ns)
+
+
+@dataclass(frozen=True)
+class IdentifiedStars:
+    """Stars of a frame; all arrays have one entry per star."""
+
+    hip: IntArray
+    row: IntArray
+    spot: IntArray
+    x_px: FloatArray
+    y_px: FloatArray
+    residual_arcsec: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.hip)
+
+    @classmethod
+    def none(cls) -> IdentifiedStars:
+        """No stars."""
+        no_int, no_float = np.zeros(0, np.int32), np.zeros(0)
+        return cls(no_int, no_int, no_int, no_float, no_float, no_float)
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What came of a frame, with its intermediates.
+
+    valid, reasons: reasons is NONE when valid. q_icrs_to_sensor: the frame's attitude at mid-exposure;
+        where not valid the last valid one (identity before the first). covariance_rad2: of the small-angle
+        error in sensor axes (zeros where not valid). rate_rad_s: of the sensor relative to ICRS, in sensor
+        axes, from this and the last valid attitude; None where unknown.
+    acquisition_after: how the next frame is to be searched; event: what happened to the mode, if anything.
+    spots: of the full frame, or of the windows. rects: int32[m, 4], detection windows. All else as named.
+    """
+
+    frame_index: int
+    valid: bool
+    reasons: Reason
+    q_icrs_to_sensor: FloatArray
+    covariance_rad2: FloatArray
+    rate_rad_s: FloatArray | None
+    acquisition_after: Acquisition
+    event: ModeEvent | None
+    spots: Spots
+    stars: IdentifiedStars
+    residual_rms_arcsec: float
+    window_half_width_px: int
+    work: Work
+    state: FirmwareState
+    rects: IntArray = field(default_factory=lambda: _NO_RECTS)
+    plan: TrackingPlan | None = None
+    identification: Identification | None = None
+
+    @property
+    def background_dn(self) -> float:
+        """Background of the image."""
+        return self.spots.background_dn
+
+    @property
+    def noise_dn(self) -> float:
+        """Noise of the background, 1 sigma."""
+        return self.spots.noise_dn
+
+    @property
+    def spots_detected(self) -> int:
+        """Number of spots."""
+        return len(self.spots)
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What a search found, before the rate and the history are looked at."""
+
+    reasons: Reason
+    spots: Spots
+    stars: IdentifiedStars = field(default_factory=IdentifiedStars.none)
+    attitude: AttitudeSolution | None = None
+    rects: IntArray = field(default_factory=lambda: _NO_RECTS)
+    half_width_px: int = 0
+    plan: TrackingPlan | None = None
+    identification: Identification | None = None
+
+
+def process_frame(
+    frame: Frame,
+    context: FrameContext,
+    state: FirmwareState,
+    configuration: FirmwareConfiguration,
+    tables: StarTables,
+) -> FrameResult:
+    """Find the attitude of one frame.
+
+    In LOST_IN_SPACE the whole frame is searched and identified; in TRACKING only the windows are looked at.
+    TRACKING without a valid attitude to start from is treated as LOST_IN_SPACE.
+    """
+    work = Work({"frames": 1})
+    tracking = context.acquisition is Acquisition.TRACKING and state.q_icrs_to_sensor is not None
+    detection = configuration.detection
+    exposure_s = context.exposure_ns * 1e-9
+    if detection.exposure_s != exposure_s:
+        detection = replace(detection, exposure_s=exposure_s)
+    velocity = _velocity_over_c(context, configuration, work)
+    if tracking:
+        outcome = _track(frame, context, state, configuration, tables, detection, velocity, work)
+    else:
+        outcome = _find(frame, configuration, tables, detection, velocity, work)
+    return _conclude(outcome, tracking, context, state, configuration, work)
+
+
+def _velocity_over_c(context: FrameContext, configuration: FirmwareConfiguration, work: Work) -> FloatArray:
+    if not configuration.aberration_correction or context.tai_ns is None:
+        return _NO_VELOCITY
+    work.add("observer_velocities")
+    velocity = earth_velocity_km_s(context.tai_ns) + np.array(configuration.velocity_km_s)
+    return np.asarray(velocity / SPEED_OF_LIGHT_KM_S)
+
+
+def _find(
+    frame: Frame,
+    configuration: FirmwareConfiguration,
+    tables: StarTables,
+    detection: DetectionParameters,
+    velocity: FloatArray,
+    work: Work,
+) -> _Outcome:
+    """Lost in space: the whole frame against the whole catalogue."""
+    spots, detection_work = detect(frame.full(), detection)
+    work += detection_work
+    if spots.background_dn > configuration.blinded_background_dn:
+        return _Outcome(Reason.BLINDED, spots)
+    if spots.overflowed:
+        return _Outcome(Reason.TOO_MANY_SPOTS, spots)
+    used = spots.brightest(configuration.max_spots)
+    b_vectors = configuration.geometry.unit_vectors(used.x_px, used.y_px)
+    work.add("unit_vectors", len(used))
+    identification, identification_work = configuration.identify(
+        b_vectors, used.magnitude, tables.catalogue, tables.pairs, configuration.identification
+    )
+    work += identification_work
+    if identification.reason != Reason.NONE:
+        return _Outcome(identification.reason, spots, identification=identification)
+    spot = np.flatnonzero(identification.star_index >= 0).astype(np.int32)
+    rows = identification.star_index[spot]
+    reference = np.empty((len(rows), 3))
+    apparent_kernel(tables.catalogue.unit_vectors, rows, velocity, reference)
+    if velocity.any():
+        work.add("aberrated_stars", len(rows))
+    outcome = _solve(
+        b_vectors[spot],
+        reference,
+        rows,
+        spot,
+        spots,
+        configuration,
+        tables,
+        configuration.identification.tolerance_rad,
+        configuration.identification.min_stars,
+        work,
+    )
+    return replace(outcome, identification=identification)
+
+
+def _track(
+    frame: Frame,
+    context: FrameContext,
+    state: FirmwareState,
+    configuration: FirmwareConfiguration,
+    tables: StarTables,
+    detection: DetectionParameters,
+    velocity: FloatArray,
+    work: Work,
+) -> _Outcome:
+    """Tracking: the windows where the last attitude puts the stars."""
+    parameters = configuration.tracking
+    geometry = configuration.geometry
+    assert state.q_icrs_to_sensor is not None
+    plan, plan_work = plan_windows(
+        state.q_icrs_to_sensor,
+        state.pivot,
+        tables.catalogue,
+        geometry,
+        parameters,
+        abs(context.t_mid_ns - state.t_ns) * 1e-9,
+        context.exposure_ns * 1e-9,
+        velocity,
+    )
+    work += plan_work
+    if len(plan.star) == 0:
+        return _Outcome(Reason.TOO_FEW_STARS, Spots.empty(), half_width_px=plan.half_width_px, plan=plan)
+    flat, offsets = frame.windows(plan.rects)
+    found, window_work = detect_in_windows(
+        flat,
+        offsets,
+        plan.rects,
+        detection,
+        width_px=geometry.width_px,
+        height_px=geometry.height_px,
+        keep=plan.stars_in_windows() + np.int32(_SPARE_SPOTS),
+    )
+    work += window_work
+    spots = found.spots
+    blank = _Outcome(Reason.NONE, spots, rects=plan.rects, half_width_px=plan.half_width_px, plan=plan)
+    if spots.background_dn > configuration.blinded_background_dn:
+        return replace(blank, reasons=Reason.BLINDED)
+    b_vectors = geometry.unit_vectors(spots.x_px, spots.y_px)
+    work.add("unit_vectors", len(spots))
+    verification, verification_work = verify_by_pivot(plan, found, b_vectors, tables.catalogue, parameters)
+    work += verification_work
+    if verification.pivot < 0:
+        reasons = Reason.PIVOT_LOST
+        if verification.found < parameters.min_stars:
+            reasons = Reason.TOO_FEW_STARS
+        # ASSUMED: where half of the windows cut their spot, the stars are moving out of them all: the rate
+        # is too high.
+        if 2 * np.count_nonzero(found.status == WindowStatus.CLIPPED) >= len(plan.rects):
+            reasons |= Reason.RATE_TOO_HIGH
+        return replace(blank, reasons=reasons)
+    star = np.flatnonzero(verification.spot >= 0)
+    spot = verification.spot[star]
+    outcome = _solve(
+        b_vectors[spot],
+        plan.reference[star],
+        plan.star[star],
+        spot,
+        spots,
+        configuration,
+        tables,
+        parameters.tolerance_rad,
+        parameters.min_stars,
+        work,
+    )
+    return replace(outcome, rects=plan.rects, half_width_px=plan.half_width_px, plan=plan)
+
+
+def _solve(
+    measured: FloatArray,
+    reference: FloatArray,
+    rows: IntArray,
+    spot: IntArray,
+    spots: Spots,
+    configuration: FirmwareConfiguration,
+    tables: StarTables,
+    tolerance_rad: float,
+    min_stars: int,
+    work: Work,
+) -> _Outcome:
+    """Attitude of the identified stars; the worst one is dropped while its residual is over the tolerance.
+
+    ASSUMED: at most a third of the stars may be dropped; more, and the rest is not to be trusted either.
+    """
+    sigma = _sigma_rad(spots, spot, configuration)
+    least = max(min_stars, math.ceil(2.0 * len(rows) / 3.0))
+    while True:
+        solution, solution_work = q_method(measured, reference, sigma)
+        work += solution_work
+        if solution is None:
+            return _Outcome(Reason.TOO_FEW_STARS, spots)
+        worst = int(np.argmax(solution.residuals_rad))
+        if solution.residuals_rad[worst] <= tolerance_rad:
+            break
+        if len(rows) <= least:
+            return _Outcome(Reason.RESIDUAL_TOO_LARGE, spots)
+        kept = np.arange(len(rows)) != worst
+        measured, reference, rows, spot = measured[kept], reference[kept], rows[kept], spot[kept]
+        sigma = sigma[kept]
+    stars = IdentifiedStars(
+        tables.catalogue.hip[rows],
+        rows,
+        spot,
+        spots.x_px[spot],
+        spots.y_px[spot],
+        solution.residuals_rad * _ARCSEC_PER_RAD,
+    )
+    return _Outcome(Reason.NONE, spots, stars, solution)
+
+
+def _sigma_rad(spots: Spots, spot: IntArray, configuration: FirmwareConfiguration) -> FloatArray:
+    """Expected error of each centroid, rad; see `CentroidError`."""
+    error = configuration.centroid_error
+    flux = np.maximum(spots.flux_dn[spot], 1.0)
+    variance = (
+        error.floor_px**2
+        + error.psf_sigma_px**2 / (flux * error.electrons_per_dn)
+        + np.square(error.window_factor * spots.noise_dn / flux)
+    )
+    return np.asarray(np.sqrt(variance) / configuration.geometry.focal_px)
+
+
+def _rate_too_high(
+    rate_rad_s: FloatArray,
+    interval_s: float,
+    before_rad2: FloatArray | None,
+    now_rad2: FloatArray,
+    configuration: FirmwareConfiguration,
+) -> bool:
+    """Whether a rate is over the tracking rate by more than the margin and three sigma."""
+    rate = math.sqrt(float(rate_rad_s @ rate_rad_s))
+    limit = math.radians(configuration.tracking.rate_deg_s) * (1.0 + configuration.tracking.rate_margin)
+    if rate <= limit:
+        return False
+    axis = rate_rad_s / rate
+    variance = float(axis @ now_rad2 @ axis)
+    if before_rad2 is not None:
+        variance += float(axis @ before_rad2 @ axis)
+    return rate > limit + 3.0 * math.sqrt(variance) / interval_s
+
+
+def _conclude(
+    outcome: _Outcome,
+    tracking: bool,
+    context: FrameContext,
+    state: FirmwareState,
+    configuration: FirmwareConfiguration,
+    work: Work,
+) -> FrameResult:
+    """Look at the rate, decide on validity and on the next search, and carry the state on."""
+    reasons = outcome.reasons
+    rate: FloatArray | None = None
+    solution = outcome.attitude
+    if solution is not None:
+        # In tracking the rate is that from the last valid attitude, which the windows are built on; in lost
+        # in space that from the last solved one, so that a turn too fast for tracking is seen although
+        # nothing was valid.
+        before, covariance, t_before = state.q_icrs_to_sensor, state.covariance_rad2, state.t_ns
+        if not tracking:
+            before, covariance, t_before = state.solved, state.solved_covariance_rad2, state.solved_t_ns
+        interval_ns = context.t_mid_ns - t_before
+        measured = covariance is not None
+        if before is not None and measured and 0 < interval_ns <= configuration.solved_validity_ns:
+            rate = angular_rate(before, solution.q_icrs_to_sensor, interval_ns * 1e-9)
+            work.add("rate_solves")
+            if _rate_too_high(rate, interval_ns * 1e-9, covariance, solution.covariance_rad2, configuration):
+                reasons |= Reason.RATE_TOO_HIGH
+        state = replace(
+            state,
+            solved=solution.q_icrs_to_sensor,
+            solved_covariance_rad2=solution.covariance_rad2,
+            solved_t_ns=context.t_mid_ns,
+        )
+    valid = reasons == Reason.NONE
+    event: ModeEvent | None = None
+    after = Acquisition.TRACKING
+    if valid and solution is not None:
+        magnitude = outcome.spots.magnitude[outcome.stars.spot]
+        state = replace(
+            state,
+            q_icrs_to_sensor=solution.q_icrs_to_sensor,
+            covariance_rad2=solution.covariance_rad2,
+            t_ns=context.t_mid_ns,
+            pivot=int(outcome.stars.row[int(np.argmin(magnitude))]),
+            missed=0,
+        )
+        if context.acquisition is Acquisition.LOST_IN_SPACE:
+            event = ModeEvent.ATTITUDE_ACQUIRED
+    elif tracking:
+        state = replace(state, missed=state.missed + 1)
+        if state.missed > configuration.tracking.max_missed:
+            after = Acquisition.LOST_IN_SPACE
+            event = ModeEvent.TRACKING_LOST
+            state = replace(state, missed=0)
+    else:
+        after = Acquisition.LOST_IN_SPACE
+        if context.acquisition is Acquisition.TRACKING:
+            event = ModeEvent.TRACKING_LOST
+    q = _IDENTITY if state.q_icrs_to_sensor is None else state.q_icrs_to_sensor
+    covariance_now = solution.covariance_rad2 if valid and solution is not None else np.zeros((3, 3))
+    return FrameResult(
+        frame_index=context.frame_index,
+        valid=valid,
+        reasons=reasons,
+        q_icrs_to_sensor=q,
+        covariance_rad2=covariance_now,
+        rate_rad_s=rate,
+        acquisition_after=after,
+        event=event,
+        spots=outcome.spots,
+        stars=outcome.stars,
+        residual_rms_arcsec=0.0 if solution is None else solution.residual_rms_rad * _ARCSEC_PER_RAD,
+        window_half_width_px=outcome.half_width_px,
+        work=work,
+        state=state,
+        rects=outcome.rects,
+        plan=outcome.plan,
+        identification=outcome.identification,
+    )

@@ -1,0 +1,108 @@
+"""The modes and the one table that changes them: (mode, event) -> mode. Nothing else changes a mode.
+
+The numbers are those of the telemetry. Modes follow ECSS-E-ST-60-20C in their meaning: autonomous attitude
+determination (lost in space) and autonomous attitude tracking.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+__all__ = ["MODE_MEANINGS", "TRANSITIONS", "Mode", "ModeEvent", "ModeTransition", "next_mode"]
+
+
+class Mode(IntEnum):
+    """What the unit does."""
+
+    BOOT = 0
+    SELF_TEST = 1
+    STANDBY = 2
+    LOST_IN_SPACE = 3
+    TRACKING = 4
+    FAULT = 5
+    OFF = 6
+
+
+MODE_MEANINGS: dict[Mode, str] = {
+    Mode.BOOT: "software starts; no telecommand is taken",
+    Mode.SELF_TEST: "memory, catalogue and sensor are checked; no attitude",
+    Mode.STANDBY: "commands and housekeeping; no attitude",
+    Mode.LOST_IN_SPACE: "each frame is searched for an attitude without prior knowledge",
+    Mode.TRACKING: "each frame's attitude is found in windows placed by the last one",
+    Mode.FAULT: "a check failed; no attitude; left by a passed self-test or a reset",
+    Mode.OFF: "no power or shut down; nothing is sent",
+}
+
+
+class ModeEvent(IntEnum):
+    """What can change the mode; the numbers are the cause in the event report of a mode change."""
+
+    POWER_ON = 0
+    BOOT_DONE = 1
+    SELF_TEST_STARTED = 2
+    SELF_TEST_PASSED = 3
+    SELF_TEST_FAILED = 4
+    COMMAND_STANDBY = 5
+    COMMAND_ACQUIRE = 6
+    COMMAND_TRACK_FROM = 7
+    COMMAND_SELF_TEST = 8
+    COMMAND_RESET = 9
+    COMMAND_SHUTDOWN = 10
+    AUTONOMOUS_START = 11
+    ATTITUDE_ACQUIRED = 12
+    TRACKING_LOST = 13
+    FAULT_DETECTED = 14
+
+
+@dataclass(frozen=True)
+class ModeTransition:
+    """One row of the table."""
+
+    mode: Mode
+    event: ModeEvent
+    next_mode: Mode
+    meaning: str
+
+
+def _rows(
+    modes: tuple[Mode, ...], event: ModeEvent, next_mode: Mode, meaning: str
+) -> tuple[ModeTransition, ...]:
+    return tuple(ModeTransition(mode, event, next_mode, meaning) for mode in modes)
+
+
+_ACQUIRING = (Mode.LOST_IN_SPACE, Mode.TRACKING)
+_COMMANDED = (Mode.STANDBY, *_ACQUIRING)
+_POWERED = (Mode.BOOT, Mode.SELF_TEST, *_COMMANDED, Mode.FAULT)
+
+TRANSITIONS: tuple[ModeTransition, ...] = (
+    *_rows((Mode.OFF,), ModeEvent.POWER_ON, Mode.BOOT, "power comes on"),
+    *_rows((Mode.BOOT,), ModeEvent.BOOT_DONE, Mode.STANDBY, "started; no power-on self-test is asked for"),
+    *_rows((Mode.BOOT,), ModeEvent.SELF_TEST_STARTED, Mode.SELF_TEST, "started; the power-on self-test runs"),
+    *_rows((Mode.SELF_TEST,), ModeEvent.SELF_TEST_PASSED, Mode.STANDBY, "every check passed"),
+    *_rows((Mode.SELF_TEST,), ModeEvent.SELF_TEST_FAILED, Mode.FAULT, "a check failed"),
+    *_rows((Mode.STANDBY, Mode.FAULT), ModeEvent.COMMAND_SELF_TEST, Mode.SELF_TEST, "self-test on command"),
+    *_rows(_COMMANDED, ModeEvent.COMMAND_STANDBY, Mode.STANDBY, "stop attitude determination"),
+    *_rows(_COMMANDED, ModeEvent.COMMAND_ACQUIRE, Mode.LOST_IN_SPACE, "find the attitude from nothing"),
+    *_rows((Mode.STANDBY,), ModeEvent.AUTONOMOUS_START, Mode.LOST_IN_SPACE, "as configured, without command"),
+    *_rows(
+        _COMMANDED, ModeEvent.COMMAND_TRACK_FROM, Mode.TRACKING, "track from an attitude sent to the unit"
+    ),
+    *_rows((Mode.LOST_IN_SPACE,), ModeEvent.ATTITUDE_ACQUIRED, Mode.TRACKING, "a valid attitude was found"),
+    *_rows((Mode.TRACKING,), ModeEvent.TRACKING_LOST, Mode.LOST_IN_SPACE, "too many frames without attitude"),
+    *_rows(
+        (Mode.BOOT, Mode.SELF_TEST, *_COMMANDED),
+        ModeEvent.FAULT_DETECTED,
+        Mode.FAULT,
+        "the unit is not fit to go on",
+    ),
+    *_rows(_POWERED, ModeEvent.COMMAND_RESET, Mode.BOOT, "restart, on command or by the watchdog"),
+    *_rows(_POWERED, ModeEvent.COMMAND_SHUTDOWN, Mode.OFF, "end cleanly; parameters are stored"),
+)
+
+_NEXT: dict[tuple[Mode, ModeEvent], Mode] = {(row.mode, row.event): row.next_mode for row in TRANSITIONS}
+
+
+def next_mode(mode: Mode, event: ModeEvent) -> Mode | None:
+    """The mode after the event, or None when the event is not allowed (or means nothing) in the mode."""
+    return _NEXT.get((mode, event))
