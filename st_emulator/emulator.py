@@ -1,0 +1,212 @@
+"""The emulator: a unit, its line and its world on one virtual clock. Sans-IO: bytes and times in, bytes out.
+
+Whoever drives it (the real-time pacer, a run as fast as possible, a test, an outside simulator) calls :meth:`advance`
+with a virtual time and :meth:`receive` with bytes; transmitted bytes come by callback at the virtual time at which their
+last bit has left the unit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+from .clock import NS_PER_S, VirtualClock
+from .configuration import scene_of, star_tables
+from .errors import ConfigurationError
+from .journal import JournalWriter
+from .line import SerialLine
+from .onboard.imaging import FrameRecord, FrameSource, Lazy, Submit
+from .onboard.parameter_store import Store, StoreContents, VolatileStore
+from .onboard.parameters import BY_NAME
+from .profile import UnitProfile
+from .protocol.errors import LocalProtocolError
+from .protocol.framing import slip_encode
+from .obc.naming import resolve_fields
+from .protocol.registry import encode_telecommand
+from .scenario import Scenario, ScenarioTelecommand
+from .unit import StarTracker
+from .world.recorded import RecordedFrames
+from .world.scene import RenderedFrame, SceneRenderer
+from .world.time_scales import tai_ns_from_utc
+
+SCENARIO_SOURCE_ID = 0x5C  # the source of a scenario's own telecommands, apart from any OBC's
+
+
+class RecordedSource:
+    """Recorded frames in front of the detector: one an exposure, over and over."""
+
+    def __init__(self, frames: RecordedFrames) -> None:
+        self._frames = frames
+        self._next = 0
+
+    def frame(self, frame_index: int, exposure_start_ns: int, exposure_ns: int) -> Any:
+        frame = self._frames[self._next % len(self._frames)]
+        self._next += 1
+        return frame
+
+
+class Emulator:
+    """One unit in its world.
+
+    Args:
+        profile: the unit.
+        scenario: trajectory, sky, telecommands.
+        seed: noise and random events; the scenario's when None.
+        frames: recorded frames instead of the rendered sky.
+        store: the unit's non-volatile memory; factory values when None.
+        transmit: called with (bytes, virtual time) as they leave the unit.
+        journal, truth: open text files, or None.
+        submit: how frames are computed (see :mod:`st_emulator.onboard.imaging`).
+        pace_reception: False when the link's bytes already took their time on a wire.
+    """
+
+    def __init__(
+        self,
+        profile: UnitProfile,
+        scenario: Scenario | None = None,
+        *,
+        seed: int | None = None,
+        frames: RecordedFrames | None = None,
+        store: Store | None = None,
+        transmit: Callable[[bytes, int], None] = lambda data, t_ns: None,
+        journal: TextIO | None = None,
+        truth: TextIO | None = None,
+        submit: Submit = Lazy,
+        pace_reception: bool = True,
+        baud: int | None = None,
+    ) -> None:
+        self.profile = profile
+        self.scenario = scenario or Scenario()
+        self.seed = self.scenario.seed if seed is None else seed
+        self.baud = baud or profile.wire.baud
+        self.clock = VirtualClock()
+        self._external_transmit = transmit
+        self._store = store if store is not None else VolatileStore()
+        self._apply_scenario_parameters()
+        self.start_tai_ns = tai_ns_from_utc(self.scenario.start_utc)
+        self.line = SerialLine(
+            self.clock, self.baud, self._transmitted, lambda data: self.unit.receive(data), pace_reception=pace_reception
+        )
+        self.scene: SceneRenderer | None = None
+        source: FrameSource
+        if frames is not None:
+            source = RecordedSource(frames)
+        else:
+            source = self.scene = scene_of(profile, self.scenario, self.seed, self.start_tai_ns)
+        self.unit = StarTracker(
+            profile,
+            self.clock,
+            self.line,
+            source,
+            star_tables(profile),
+            self._store,
+            submit=submit,
+            on_frame=self._frame_exposed,
+        )
+        self._truth = truth
+        self._journal: JournalWriter | None = None
+        if journal is not None:
+            self._journal = JournalWriter(journal, self._header(frames, pace_reception))
+        self._schedule_telecommands()
+        self.unit.power_on()
+
+    # -- driving it ------------------------------------------------------------------------------------------------
+
+    @property
+    def now_ns(self) -> int:
+        return self.clock.now_ns
+
+    def next_event_ns(self) -> int | None:
+        """Virtual time of the next event."""
+        return self.clock.next_ns()
+
+    def advance(self, until_ns: int) -> None:
+        """Let virtual time go on to ``until_ns``."""
+        self.clock.advance(until_ns)
+
+    def receive(self, data: bytes) -> None:
+        """The OBC put ``data`` on the line at the present virtual time."""
+        if data:
+            if self._journal is not None:
+                self._journal.write(self.clock.now_ns, "rx", data)
+            self.line.arrive(data)
+
+    def flush(self) -> None:
+        """Write out what the journal and the truth file hold back."""
+        if self._journal is not None:
+            self._journal.flush()
+        if self._truth is not None:
+            self._truth.flush()
+
+    def close(self) -> None:
+        """Mark the end in the journal."""
+        if self._journal is not None:
+            self._journal.end(self.clock.now_ns)
+        self.flush()
+
+    # -- inside ----------------------------------------------------------------------------------------------------
+
+    def _transmitted(self, data: bytes) -> None:
+        if self._journal is not None:
+            self._journal.write(self.clock.now_ns, "tx", data)
+        self._external_transmit(data, self.clock.now_ns)
+
+    def _frame_exposed(self, record: FrameRecord) -> None:
+        if self._truth is None:
+            return
+        if isinstance(record.pixels, RenderedFrame) and self.scene is not None:
+            self._truth.write(self.scene.truth(record.pixels).to_json() + "\n")
+        else:
+            fields = {"frame_index": record.index, "exposure_mid_ns": record.mid_exposure_ns, "recorded": True}
+            self._truth.write(json.dumps(fields) + "\n")
+
+    def _apply_scenario_parameters(self) -> None:
+        """Parameters of the scenario are in the non-volatile memory at power-on."""
+        if not self.scenario.parameters:
+            return
+        contents, _ = self._store.load()
+        for name, value in self.scenario.parameters.items():
+            definition = BY_NAME.get(name)
+            if definition is None or definition.read_only:
+                allowed = ", ".join(item.name for item in BY_NAME.values() if not item.read_only)
+                raise ConfigurationError(f"scenario {self.scenario.name}: parameters.{name}: unknown; allowed are {allowed}")
+            try:
+                contents.parameters[name] = definition.as_carried(value)
+            except LocalProtocolError as error:
+                raise ConfigurationError(f"scenario {self.scenario.name}: parameters.{name}: {error}") from error
+        self._store.save(StoreContents(contents.parameters, contents.boot_count))
+
+    def _schedule_telecommands(self) -> None:
+        for number, telecommand in enumerate(self.scenario.telecommands):
+            data = self._telecommand_bytes(number, telecommand)
+            self.clock.at(round(telecommand.at_s * NS_PER_S), lambda data=data: self.receive(data))  # type: ignore[misc]
+
+    def _telecommand_bytes(self, number: int, telecommand: ScenarioTelecommand) -> bytes:
+        if telecommand.raw_hex is not None:
+            return bytes.fromhex(telecommand.raw_hex)
+        assert telecommand.name is not None
+        try:
+            packet = encode_telecommand(
+                telecommand.name,
+                resolve_fields(telecommand.name, telecommand.fields),
+                apid=self.profile.apid,
+                sequence_count=number & 0x3FFF,
+                source_id=SCENARIO_SOURCE_ID,
+            )
+        except LocalProtocolError as error:
+            raise ConfigurationError(f"scenario {self.scenario.name}: telecommands.{number}: {error}") from error
+        return slip_encode(packet)
+
+    def _header(self, frames: RecordedFrames | None, pace_reception: bool) -> dict[str, Any]:
+        contents, _ = self._store.load()
+        return {
+            "unit": self.profile.model_dump(mode="json"),
+            "scenario": self.scenario.model_dump(mode="json", by_alias=True),
+            "seed": self.seed,
+            "baud": self.baud,
+            "pace_reception": pace_reception,
+            "frames": None if frames is None else [str(Path(name)) for name in frames.names],
+            "store": {"parameters": contents.parameters, "boot_count": contents.boot_count},
+        }

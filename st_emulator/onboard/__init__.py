@@ -1,0 +1,1 @@
+"""The unit round its firmware: telecommands, telemetry, modes, frames in time. Sans-IO; driven by the virtual clock."""

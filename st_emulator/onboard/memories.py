@@ -1,0 +1,63 @@
+"""The memories of service 6: a patch area in RAM, the non-volatile parameters (read only), the captured image (read only)."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+from ..protocol.enumerations import FailureCode, MemoryId
+from .requests import Rejected
+
+if TYPE_CHECKING:
+    from ..unit import StarTracker
+
+RAM_BYTES = 65536  # ASSUMED: a patch area of 64 KiB
+
+
+class Memories:
+    """Reads and writes by memory identifier and address; every check is made before anything changes."""
+
+    def __init__(self, unit: StarTracker) -> None:
+        self._unit = unit
+        self._ram = bytearray(RAM_BYTES)
+
+    def reset(self) -> None:
+        self._ram = bytearray(RAM_BYTES)
+
+    def contents(self, memory_id: int) -> bytes | bytearray:
+        """All bytes of a memory; refuses an unknown one and an image that was never captured."""
+        if memory_id == MemoryId.RAM:
+            return self._ram
+        if memory_id == MemoryId.NON_VOLATILE:
+            return json.dumps(self._unit.parameters.stored_values(), sort_keys=True).encode()
+        if memory_id == MemoryId.IMAGE:
+            if not self._unit.image_store.data:
+                raise Rejected(FailureCode.NO_IMAGE)
+            return self._unit.image_store.data
+        raise Rejected(FailureCode.UNKNOWN_ID, memory_id)
+
+    def read(self, memory_id: int, start: int, length: int) -> bytes:
+        contents = self.contents(memory_id)
+        if length == 0 or start + length > len(contents):
+            raise Rejected(FailureCode.ADDRESS, start)
+        return bytes(contents[start : start + length])
+
+    def check_writable(self, memory_id: int, start: int, length: int) -> None:
+        if memory_id != MemoryId.RAM:
+            self.contents(memory_id)
+            raise Rejected(FailureCode.READ_ONLY, memory_id)
+        if length == 0 or start + length > RAM_BYTES:
+            raise Rejected(FailureCode.ADDRESS, start)
+
+    def write(self, start: int, data: bytes) -> None:
+        self._ram[start : start + len(data)] = data
+
+    def test_ram(self) -> bool:
+        """Write and read back two patterns, then restore the contents."""
+        kept = bytes(self._ram)
+        passed = True
+        for pattern in (0x55, 0xAA):
+            self._ram[:] = bytes([pattern]) * RAM_BYTES
+            passed = passed and self._ram.count(pattern) == RAM_BYTES
+        self._ram[:] = kept
+        return passed

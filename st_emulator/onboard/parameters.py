@@ -1,0 +1,132 @@
+"""On-board parameters: defaults of the unit file, changed by telecommand, kept in the non-volatile memory."""
+
+from __future__ import annotations
+
+from ..clock import NS_PER_US
+from ..configuration import firmware_configuration, processor_profile
+from ..profile import UnitProfile
+from ..protocol.enumerations import FailureCode, ParameterId, StoreInvalidCause
+from ..protocol.parameters import PARAMETER_TABLE
+from .imaging import FrameSettings
+from .parameter_store import Store, StoreContents
+from .requests import Rejected
+
+DEFINITIONS = {int(definition.id): definition for definition in PARAMETER_TABLE}
+BY_NAME = {definition.name: definition for definition in PARAMETER_TABLE}
+BOOT_COUNT = ParameterId.BOOT_COUNT.name.lower()
+
+
+def default_parameters(profile: UnitProfile) -> dict[str, float | int]:
+    """Factory values by name, from the unit file, as they are after a trip over the wire."""
+    values: dict[str, float | int] = {
+        "exposure_us": round(profile.timing.exposure_ms * 1000),
+        "detection_sigma": profile.detection.sigma,
+        "detection_min_pixels": profile.detection.min_pixels,
+        "centroid_half_window_px": profile.detection.centroid_half_window_px,
+        "magnitude_limit": profile.detection.magnitude_limit,
+        "identification_tolerance_arcsec": profile.identification.tolerance_arcsec,
+        "identification_max_spots": profile.identification.max_spots,
+        "tracking_rate_deg_s": profile.tracking.rate_deg_s,
+        "tracking_tolerance_arcsec": profile.tracking.tolerance_arcsec,
+        "tracking_min_stars": profile.tracking.min_stars,
+        "tracking_max_missed": profile.tracking.max_missed,
+        "blinded_background_dn": profile.detection.blinded_background_dn,
+        "aberration_correction": 1,
+        "velocity_x_km_s": 0.0,
+        "velocity_y_km_s": 0.0,
+        "velocity_z_km_s": 0.0,
+        "attitude_report": int(profile.wire.attitude_report),
+        "autonomous_start": 0,
+        "pipelined": int(profile.timing.pipelined),
+        "clock_hz": profile.processor.clock_hz,
+    }
+    return {name: BY_NAME[name].as_carried(value) for name, value in values.items()}
+
+
+class Parameters:
+    """The unit's parameters by name; ``boot_count`` is read only."""
+
+    def __init__(self, profile: UnitProfile, store: Store) -> None:
+        self._profile = profile
+        self._store = store
+        self._defaults = default_parameters(profile)
+        self._values = dict(self._defaults)
+        self._processor = processor_profile(profile)
+        self._settings: FrameSettings | None = None
+        self.boot_count = 0
+
+    def load(self, *, count_start: bool) -> StoreInvalidCause | None:
+        """Read the non-volatile memory; returns why factory values are used instead, or None."""
+        contents, fault = self._store.load()
+        if fault is None:
+            for name, value in contents.parameters.items():
+                definition = BY_NAME.get(name)
+                if definition is None or definition.read_only or definition.violation(value) is not None:
+                    contents, fault = StoreContents(boot_count=contents.boot_count), StoreInvalidCause.OUT_OF_RANGE
+                    break
+        self._values = self._defaults | contents.parameters
+        self._settings = None
+        self.boot_count = contents.boot_count + int(count_start)
+        if count_start:
+            self._save()
+        return fault
+
+    def stored_fault(self) -> StoreInvalidCause | None:
+        """What is wrong with the non-volatile memory now, or None."""
+        return self._store.load()[1]
+
+    def _save(self) -> None:
+        self._store.save(StoreContents(self.stored_values(), self.boot_count))
+
+    def stored_values(self) -> dict[str, float | int]:
+        """The parameters that differ from the factory values."""
+        return {name: value for name, value in self._values.items() if value != self._defaults[name]}
+
+    def __getitem__(self, name: str) -> float | int:
+        return self.boot_count & 0xFFFF if name == BOOT_COUNT else self._values[name]
+
+    def by_id(self, parameter_id: int) -> float | int:
+        """Value of a parameter; refuses an unknown identifier."""
+        if parameter_id not in DEFINITIONS:
+            raise Rejected(FailureCode.UNKNOWN_ID, parameter_id)
+        return self[DEFINITIONS[parameter_id].name]
+
+    def check(self, settings: dict[int, float | int]) -> None:
+        """Refuse unknown, read-only and out-of-range settings."""
+        for parameter_id, value in settings.items():
+            definition = DEFINITIONS.get(parameter_id)
+            if definition is None:
+                raise Rejected(FailureCode.UNKNOWN_ID, parameter_id)
+            if definition.read_only:
+                raise Rejected(FailureCode.READ_ONLY, parameter_id)
+            if definition.violation(value) is not None:
+                raise Rejected(FailureCode.OUT_OF_RANGE, parameter_id)
+            if definition.name == "exposure_us" and value > self._profile.timing.frame_period_ms * 1000:
+                raise Rejected(FailureCode.OUT_OF_RANGE, parameter_id)
+
+    def store(self, settings: dict[int, float | int]) -> int:
+        """Set checked values and keep them; in force at the next exposure. Returns how many were set."""
+        for parameter_id, value in settings.items():
+            self._values[DEFINITIONS[parameter_id].name] = value
+        self._settings = None
+        self._save()
+        return len(settings)
+
+    def restore_defaults(self) -> int:
+        """Factory values; returns how many changed."""
+        changed = len(self.stored_values())
+        self._values = dict(self._defaults)
+        self._settings = None
+        self._save()
+        return changed
+
+    def frame_settings(self) -> FrameSettings:
+        """What a frame needs, for the present values."""
+        if self._settings is None:
+            self._settings = FrameSettings(
+                configuration=firmware_configuration(self._profile, self._values),
+                exposure_ns=int(self._values["exposure_us"]) * NS_PER_US,
+                processor=self._processor.with_clock(int(self._values["clock_hz"])),
+                pipelined=bool(self._values["pipelined"]),
+            )
+        return self._settings

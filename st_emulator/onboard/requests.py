@@ -1,0 +1,211 @@
+"""Telecommands in: framing, acceptance, verification. Each kind of bad input has its counter, event or failure report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from ..protocol.enumerations import EventId, FailureCode, FramingReason, MalformedReason
+from ..protocol.framing import FrameReceived, SlipDecoder
+from ..protocol.packets import (
+    ACK_ACCEPTANCE,
+    ACK_COMPLETION,
+    ACK_PROGRESS,
+    ACK_START,
+    MAX_TELECOMMAND_BYTES,
+    Malformed,
+    RequestId,
+    Telecommand,
+)
+from ..protocol.registry import parse_telecommand
+from .counters import LinkCounters
+
+SEQUENCE_MODULO = 1 << 14
+
+
+class Rejected(Exception):
+    """A telecommand is refused; ``code`` and ``data`` go into its failure report. Nothing was changed."""
+
+    def __init__(self, code: FailureCode, data: int = 0) -> None:
+        super().__init__(f"{code.name} ({data})")
+        self.code = code
+        self.data = data
+
+
+class Telemeter(Protocol):
+    """Sends a telemetry message by name."""
+
+    def __call__(self, name: str, fields: dict[str, Any]) -> bool: ...
+
+
+class Request:
+    """An accepted telecommand on its way to completion; reports what its acknowledgement flags ask for."""
+
+    def __init__(self, telecommand: Telecommand, send: Telemeter) -> None:
+        self.telecommand = telecommand
+        self._send = send
+        self._request_id = RequestId.from_packet(telecommand.raw).as_fields()
+        self.open = True
+
+    def accepted(self) -> None:
+        if self.telecommand.ack & ACK_ACCEPTANCE:
+            self._send("acceptance_success", {"request_id": self._request_id})
+
+    def started(self) -> None:
+        if self.open and self.telecommand.ack & ACK_START:
+            self._send("start_success", {"request_id": self._request_id})
+
+    def progressed(self, step: int) -> None:
+        if self.open and self.telecommand.ack & ACK_PROGRESS:
+            self._send("progress", {"request_id": self._request_id, "step": step})
+
+    def completed(self) -> None:
+        if self.open and self.telecommand.ack & ACK_COMPLETION:
+            self._send("completion_success", {"request_id": self._request_id})
+        self.open = False
+
+    def failed(self, code: FailureCode, data: int = 0) -> None:
+        """Report that the execution failed (always sent)."""
+        if self.open:
+            self._send(
+                "completion_failure", {"request_id": self._request_id, "failure_code": int(code), "failure_data": data}
+            )
+        self.open = False
+
+
+#: A handler checks a telecommand (raising :class:`Rejected`) and returns what executes it.
+Handler = Callable[[Telecommand], Callable[[Request], None]]
+
+
+class RequestClient(Protocol):
+    """What the receiving side needs from the unit."""
+
+    def send(self, name: str, fields: dict[str, Any]) -> bool: ...
+
+    def raise_event(self, event: EventId, **data: int) -> None: ...
+
+    def handler(self, name: str) -> Handler: ...
+
+
+class Receiver:
+    """Bytes of the line to executed telecommands.
+
+    ``receive`` only collects frames; ``handle`` works on one whole frame, after the unit's latency.
+    """
+
+    def __init__(self, client: RequestClient, apid: int, counters: LinkCounters) -> None:
+        self._client = client
+        self._apid = apid
+        self.counters = counters
+        self._decoder = SlipDecoder(MAX_TELECOMMAND_BYTES)
+        self._expected_sequence: dict[int, int] = {}
+
+    def reset(self) -> None:
+        """As after power-on: a half received frame is forgotten."""
+        self._decoder = SlipDecoder(MAX_TELECOMMAND_BYTES)
+        self._expected_sequence.clear()
+
+    def receive(self, data: bytes, now_ns: int) -> list[bytes]:
+        """Take bytes off the line; returns the whole frames among them."""
+        self.counters.rx_bytes += len(data)
+        frames = []
+        for event in self._decoder.receive(data, now_ns):
+            if isinstance(event, FrameReceived):
+                frames.append(event.data)
+            elif event.reason == FramingReason.OVERSIZED:
+                self.counters.oversized_frames += 1
+                self._malformed(MalformedReason.TOO_LONG, self.counters.oversized_frames, event.length)
+            else:
+                self.counters.framing_errors += 1
+                self._malformed(MalformedReason.TOO_SHORT, self.counters.framing_errors, event.length)
+        return frames
+
+    def _malformed(self, reason: MalformedReason, count: int, length: int) -> None:
+        self._client.raise_event(
+            EventId.TC_MALFORMED, reason=int(reason), count=count & 0xFFFF, length=min(length, 0xFFFF)
+        )
+
+    def handle(self, raw: bytes) -> None:
+        """Check and execute one frame."""
+        self.counters.tc_received += 1
+        parsed = parse_telecommand(raw, apids=(self._apid,))
+        if isinstance(parsed, Malformed):
+            self._reject_malformed(parsed)
+            return
+        self._check_sequence(parsed)
+        request = Request(parsed, self._client.send)
+        try:
+            execute = self._client.handler(parsed.name)(parsed)
+        except Rejected as rejection:
+            self._count_rejection(rejection.code)
+            self._fail_acceptance(RequestId.from_packet(raw), rejection.code, rejection.data)
+            return
+        self.counters.tc_accepted += 1
+        request.accepted()
+        execute(request)
+
+    def _check_sequence(self, telecommand: Telecommand) -> None:
+        source = telecommand.source_id
+        expected = self._expected_sequence.get(source)
+        received = telecommand.sequence_count
+        self._expected_sequence[source] = (received + 1) % SEQUENCE_MODULO
+        if expected is not None and received != expected:
+            self.counters.sequence_gaps += 1
+            self._client.raise_event(
+                EventId.TC_SEQUENCE_GAP_DETECTED, source_id=source, expected=expected, received=received
+            )
+
+    def _count_rejection(self, code: FailureCode) -> None:
+        self.counters.tc_rejected += 1
+        if code == FailureCode.NOT_ALLOWED_IN_MODE:
+            self.counters.not_allowed_in_mode += 1
+        elif code in (FailureCode.UNKNOWN_SERVICE, FailureCode.UNKNOWN_SUBSERVICE):
+            self.counters.unknown_service += 1
+        else:
+            self.counters.bad_parameters += 1
+
+    def _fail_acceptance(self, request_id: RequestId, code: FailureCode, data: int) -> None:
+        self._client.send(
+            "acceptance_failure",
+            {"request_id": request_id.as_fields(), "failure_code": int(code), "failure_data": data & 0xFFFFFFFF},
+        )
+
+    def _reject_malformed(self, malformed: Malformed) -> None:
+        """A packet whose checksum holds can be answered to its sender; one whose checksum fails can only be counted."""
+        reason, counters, length = malformed.reason, self.counters, len(malformed.raw)
+        if reason == MalformedReason.BAD_CRC:
+            counters.crc_errors += 1
+            self._client.raise_event(
+                EventId.TC_CRC_FAILED, count=counters.crc_errors & 0xFFFF, length=min(length, 0xFFFF)
+            )
+        elif reason == MalformedReason.UNKNOWN_APID and malformed.request_id is not None:
+            counters.unknown_apid += 1
+            counters.tc_rejected += 1
+            self._client.send(
+                "routing_failure",
+                {
+                    "request_id": malformed.request_id.as_fields(),
+                    "failure_code": int(FailureCode.UNKNOWN_APID),
+                    "failure_data": malformed.request_id.apid,
+                },
+            )
+        elif reason.failure_code in (FailureCode.LENGTH, FailureCode.HEADER) or malformed.request_id is None:
+            counters.length_errors += 1
+            self._malformed(reason, counters.length_errors, length)
+        else:
+            self._count_rejection(reason.failure_code)
+            self._fail_acceptance(malformed.request_id, reason.failure_code, _failure_data(malformed))
+
+
+def _failure_data(malformed: Malformed) -> int:
+    """The data that goes with the failure code (see its meaning in the interface control document)."""
+    raw = malformed.raw
+    match malformed.reason:
+        case MalformedReason.UNKNOWN_SERVICE:
+            return raw[7]
+        case MalformedReason.UNKNOWN_SUBSERVICE:
+            return raw[7] << 8 | raw[8]
+        case MalformedReason.UNKNOWN_ID:
+            return 0
+        case _:
+            return len(raw)

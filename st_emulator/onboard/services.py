@@ -1,0 +1,487 @@
+"""The services: what each telecommand checks and does.
+
+A handler first makes every check, raising :class:`Rejected`, and returns what executes the telecommand. So a refused
+telecommand has changed nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from ..clock import NS_PER_MS, ScheduledEvent
+from ..firmware_model.modes import Mode, ModeEvent, next_mode
+from ..protocol.enumerations import (
+    EventId,
+    FailureCode,
+    FunctionId,
+    HousekeepingId,
+    ResetCause,
+    ResetKind,
+)
+from ..protocol.packets import CucTime, Telecommand, crc16_ccitt
+from .imaging import microseconds
+from .requests import Handler, Rejected, Request
+
+if TYPE_CHECKING:
+    from ..unit import StarTracker
+
+RUNNING = (Mode.STANDBY, Mode.LOST_IN_SPACE, Mode.TRACKING)
+ANY = (*RUNNING, Mode.SELF_TEST, Mode.FAULT)
+
+#: The modes in which a telecommand is allowed; the ones that change the mode follow the mode table.
+ALLOWED_MODES: dict[str, tuple[Mode, ...]] = {
+    "ping": ANY,
+    "hk_enable": ANY,
+    "hk_disable": ANY,
+    "hk_one_shot": ANY,
+    "hk_set_interval": ANY,
+    "event_enable": ANY,
+    "event_disable": ANY,
+    "event_report_disabled": ANY,
+    "memory_load": (Mode.STANDBY, Mode.FAULT),
+    "memory_dump": ANY,
+    "memory_check": ANY,
+    "time_report_rate": ANY,
+    "set_time": (*RUNNING, Mode.FAULT),
+    "parameter_report": ANY,
+    "parameter_set": RUNNING,
+    "function": ANY,
+}
+
+#: The modes in which a function that is not a mode change is allowed.
+FUNCTION_MODES: dict[FunctionId, tuple[Mode, ...]] = {
+    FunctionId.CAPTURE_IMAGE: RUNNING,
+    FunctionId.DOWNLOAD_IMAGE: (*RUNNING, Mode.FAULT),
+    FunctionId.ABORT_DOWNLOAD: ANY,
+    FunctionId.CLEAR_COUNTERS: ANY,
+    FunctionId.RESTORE_DEFAULT_PARAMETERS: RUNNING,
+}
+
+#: The mode event of a function that changes the mode.
+FUNCTION_EVENTS: dict[FunctionId, ModeEvent] = {
+    FunctionId.GO_STANDBY: ModeEvent.COMMAND_STANDBY,
+    FunctionId.START_ACQUISITION: ModeEvent.COMMAND_ACQUIRE,
+    FunctionId.START_SELF_TEST: ModeEvent.COMMAND_SELF_TEST,
+    FunctionId.RESET: ModeEvent.COMMAND_RESET,
+    FunctionId.SHUTDOWN: ModeEvent.COMMAND_SHUTDOWN,
+    FunctionId.TRACK_FROM: ModeEvent.COMMAND_TRACK_FROM,
+}
+
+DEFAULT_INTERVAL_MS = 1000  # ASSUMED: 1 Hz until the OBC sets another
+QUATERNION_NORM_TOLERANCE = 1e-3  # ASSUMED: float64 on the wire; more is a mistake, not rounding
+
+
+def allowed_modes(function_id: FunctionId) -> tuple[Mode, ...]:
+    """The modes in which a function is allowed."""
+    if function_id in FUNCTION_EVENTS:
+        return tuple(mode for mode in ANY if next_mode(mode, FUNCTION_EVENTS[function_id]) is not None)
+    return FUNCTION_MODES[function_id]
+
+
+class Services:
+    """Handlers of one unit."""
+
+    def __init__(self, unit: StarTracker) -> None:
+        self._unit = unit
+        self.received_ns = 0
+        self._intervals_ms: dict[int, int] = {}
+        self._periodic: dict[int, ScheduledEvent] = {}
+        self._time_report_exponent: int | None = None
+        self._handlers: dict[str, Handler] = {
+            name: getattr(self, f"_{name}") for name in ALLOWED_MODES
+        }
+
+    def reset(self) -> None:
+        """As after power-on: no periodic housekeeping, no time reports."""
+        for event in self._periodic.values():
+            event.cancel()
+        self._periodic.clear()
+        self._intervals_ms.clear()
+        self._time_report_exponent = None
+
+    def handler(self, name: str) -> Handler:
+        """The handler of a telecommand, if the present mode allows it."""
+        mode = self._unit.mode
+        if mode not in ALLOWED_MODES[name]:
+            raise Rejected(FailureCode.NOT_ALLOWED_IN_MODE, int(mode))
+        return self._handlers[name]
+
+    def frame_started(self, frame_index: int) -> None:
+        """Frame-synchronous work: the time report."""
+        exponent = self._time_report_exponent
+        if exponent is not None and frame_index % (1 << exponent) == 0:
+            self._unit.send("time_report", self._time_fields(exponent))
+
+    # -- test ------------------------------------------------------------------------------------------------------
+
+    def _ping(self, _: Telecommand) -> Callable[[Request], None]:
+        def execute(request: Request) -> None:
+            self._unit.send("pong", {})
+            request.completed()
+
+        return execute
+
+    # -- housekeeping ----------------------------------------------------------------------------------------------
+
+    def enable_housekeeping(self, structure_id: int, interval_ms: int | None = None) -> None:
+        """Send a structure periodically from now on."""
+        if interval_ms is not None:
+            self._intervals_ms[structure_id] = interval_ms
+        if structure_id in self._periodic:
+            self._periodic[structure_id].cancel()
+        delay_ns = self._intervals_ms.get(structure_id, DEFAULT_INTERVAL_MS) * NS_PER_MS
+
+        def report() -> None:
+            self._periodic[structure_id] = self._unit.later(delay_ns, report)
+            self._report_housekeeping(structure_id)
+
+        self._periodic[structure_id] = self._unit.later(delay_ns, report)
+
+    def _structures(self, ids: list[int]) -> list[int]:
+        for structure_id in ids:
+            if structure_id not in list(HousekeepingId):
+                raise Rejected(FailureCode.UNKNOWN_ID, structure_id)
+        return ids
+
+    def _hk_enable(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        ids = self._structures(telecommand.fields["structure_ids"])
+
+        def execute(request: Request) -> None:
+            for structure_id in ids:
+                if structure_id not in self._periodic:
+                    self.enable_housekeeping(structure_id)
+            request.completed()
+
+        return execute
+
+    def _hk_disable(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        ids = self._structures(telecommand.fields["structure_ids"])
+
+        def execute(request: Request) -> None:
+            for structure_id in ids:
+                event = self._periodic.pop(structure_id, None)
+                if event is not None:
+                    event.cancel()
+            request.completed()
+
+        return execute
+
+    def _hk_one_shot(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        ids = self._structures(telecommand.fields["structure_ids"])
+
+        def execute(request: Request) -> None:
+            for structure_id in ids:
+                self._report_housekeeping(structure_id)
+            request.completed()
+
+        return execute
+
+    def _hk_set_interval(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        intervals = telecommand.fields["intervals"]
+        self._structures([item["structure_id"] for item in intervals])
+        for item in intervals:
+            if not 250 <= item["interval_ms"] <= 3_600_000:
+                raise Rejected(FailureCode.OUT_OF_RANGE, item["structure_id"])
+
+        def execute(request: Request) -> None:
+            for item in intervals:
+                structure_id = item["structure_id"]
+                self._intervals_ms[structure_id] = item["interval_ms"]
+                if structure_id in self._periodic:
+                    self.enable_housekeeping(structure_id)
+            request.completed()
+
+        return execute
+
+    def _report_housekeeping(self, structure_id: int) -> None:
+        values = {
+            HousekeepingId.STATUS: self._status,
+            HousekeepingId.LINK: self._link,
+            HousekeepingId.TIMING: self._timing,
+        }[HousekeepingId(structure_id)]()
+        self._unit.send("hk_report", {"structure_id": structure_id, "values": values})
+
+    def _status(self) -> dict[str, int]:
+        unit, counters = self._unit, self._unit.frame_counters
+        return {
+            "mode": int(unit.mode),
+            "reset_cause": int(unit.reset_cause),
+            "boot_count": unit.parameters.boot_count & 0xFFFF,
+            "uptime_ms": unit.uptime_ms & 0xFFFFFFFF,
+            "time_status": int(unit.time.status),
+            "self_test_result": int(unit.self_test_result),
+            "last_frame_index": unit.last_frame_index & 0xFFFFFFFF,
+            "last_reasons": int(unit.last_reasons),
+            "frames_processed": counters.frames_processed,
+            "frames_valid": counters.frames_valid,
+            "frames_tracking": counters.frames_tracking,
+            "frames_late": counters.frames_late,
+            "frames_dropped": counters.frames_dropped,
+            "temperature_cdeg": unit.temperature_cdeg,
+            "stored_parameters_valid": int(unit.parameters.stored_fault() is None),
+        }
+
+    def _link(self) -> dict[str, int]:
+        unit, counters = self._unit, self._unit.link_counters
+        wide = ("tc_received", "tc_accepted", "tc_rejected", "rx_bytes")
+        values = {
+            name: getattr(counters, name) & (0xFFFFFFFF if name in wide else 0xFFFF)
+            for name in counters.__dataclass_fields__
+        }
+        return values | {
+            "tx_bytes": unit.transmitter.bytes & 0xFFFFFFFF,
+            "tx_packets": unit.transmitter.packets & 0xFFFFFFFF,
+            "tx_queue_bytes": unit.line.queued_bytes,
+        }
+
+    def _timing(self) -> dict[str, int]:
+        unit = self._unit
+        record = unit.last_frame
+        cycles = record.cycles if record is not None else None
+        by_stage = cycles.by_stage if cycles is not None else {}
+        clock_hz = int(unit.parameters["clock_hz"])
+        total = cycles.total if cycles is not None else 0
+        values = {
+            f"cycles_{stage}": min(by_stage.get(stage, 0), 0xFFFFFFFF)
+            for stage in ("threshold", "clustering", "centroid", "identification", "tracking", "attitude", "telemetry")
+        }
+        return values | {
+            "frame_index": record.index if record is not None else 0,
+            "cycles_total": min(total, 0xFFFFFFFF),
+            "cycles_budget": unit.cycle_budget,
+            "margin_us": microseconds((unit.cycle_budget - total) * 1_000_000_000 // clock_hz),
+            "worst_cycles": min(unit.frame_counters.worst_cycles, 0xFFFFFFFF),
+            "clock_hz": clock_hz,
+        }
+
+    # -- events ----------------------------------------------------------------------------------------------------
+
+    def _events(self, ids: list[int]) -> list[int]:
+        for event_id in ids:
+            if event_id not in list(EventId):
+                raise Rejected(FailureCode.UNKNOWN_ID, event_id)
+        return ids
+
+    def _event_enable(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        ids = self._events(telecommand.fields["event_ids"])
+
+        def execute(request: Request) -> None:
+            self._unit.disabled_events.difference_update(ids)
+            request.completed()
+
+        return execute
+
+    def _event_disable(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        ids = self._events(telecommand.fields["event_ids"])
+
+        def execute(request: Request) -> None:
+            self._unit.disabled_events.update(ids)
+            request.completed()
+
+        return execute
+
+    def _event_report_disabled(self, _: Telecommand) -> Callable[[Request], None]:
+        def execute(request: Request) -> None:
+            self._unit.send("event_disabled_list", {"event_ids": sorted(self._unit.disabled_events)})
+            request.completed()
+
+        return execute
+
+    # -- memory ----------------------------------------------------------------------------------------------------
+
+    def _memory_load(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        fields, memories = telecommand.fields, self._unit.memories
+        data, start = fields["data"], fields["start_address"]
+        memories.check_writable(fields["memory_id"], start, len(data))
+        checksum = crc16_ccitt(data)
+        if checksum != fields["checksum"]:
+            raise Rejected(FailureCode.BAD_CHECKSUM, checksum)
+
+        def execute(request: Request) -> None:
+            memories.write(start, data)
+            request.completed()
+
+        return execute
+
+    def _memory_dump(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        fields = telecommand.fields
+        if fields["length"] > 1024:
+            raise Rejected(FailureCode.OUT_OF_RANGE, fields["length"])
+        data = self._unit.memories.read(fields["memory_id"], fields["start_address"], fields["length"])
+
+        def execute(request: Request) -> None:
+            self._unit.send(
+                "memory_dump_report",
+                {
+                    "memory_id": fields["memory_id"],
+                    "start_address": fields["start_address"],
+                    "data": data,
+                    "checksum": crc16_ccitt(data),
+                },
+            )
+            request.completed()
+
+        return execute
+
+    def _memory_check(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        fields = telecommand.fields
+        data = self._unit.memories.read(fields["memory_id"], fields["start_address"], fields["length"])
+
+        def execute(request: Request) -> None:
+            names = ("memory_id", "start_address", "length")
+            self._unit.send(
+                "memory_check_report", {name: fields[name] for name in names} | {"checksum": crc16_ccitt(data)}
+            )
+            request.completed()
+
+        return execute
+
+    # -- functions -------------------------------------------------------------------------------------------------
+
+    def _function(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        unit, mode = self._unit, self._unit.mode
+        function_id = FunctionId(telecommand.fields["function_id"])
+        arguments: dict[str, Any] = telecommand.fields["arguments"]
+        if mode not in allowed_modes(function_id):
+            raise Rejected(FailureCode.NOT_ALLOWED_IN_MODE, int(mode))
+        match function_id:
+            case FunctionId.GO_STANDBY:
+                return self._at_once(unit.go_standby)
+            case FunctionId.START_ACQUISITION:
+                return self._at_once(unit.start_acquisition)
+            case FunctionId.START_SELF_TEST:
+                return unit.start_self_test
+            case FunctionId.RESET:
+                return self._reset_function(arguments["kind"])
+            case FunctionId.CAPTURE_IMAGE:
+                if unit.image_store.capturing:
+                    raise Rejected(FailureCode.BUSY)
+                return unit.image_store.capture
+            case FunctionId.DOWNLOAD_IMAGE:
+                return self._download(arguments)
+            case FunctionId.ABORT_DOWNLOAD:
+                return self._at_once(unit.image_store.abort)
+            case FunctionId.SHUTDOWN:
+                return self._shutdown
+            case FunctionId.CLEAR_COUNTERS:
+                return self._at_once(self._clear_counters)
+            case FunctionId.RESTORE_DEFAULT_PARAMETERS:
+                return self._at_once(lambda: self._parameters_stored(unit.parameters.restore_defaults()))
+            case FunctionId.TRACK_FROM:
+                q = tuple(arguments[f"q_{name}"] for name in "xyzw")
+                norm = sum(value * value for value in q) ** 0.5
+                if not abs(norm - 1) <= QUATERNION_NORM_TOLERANCE:
+                    raise Rejected(FailureCode.OUT_OF_RANGE, int(function_id))
+                return self._at_once(lambda: unit.track_from((q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm)))
+
+    @staticmethod
+    def _at_once(action: Callable[[], None]) -> Callable[[Request], None]:
+        def execute(request: Request) -> None:
+            request.started()
+            action()
+            request.completed()
+
+        return execute
+
+    def _reset_function(self, kind: int) -> Callable[[Request], None]:
+        causes = {ResetKind.WARM: ResetCause.WARM_RESET, ResetKind.COLD: ResetCause.COLD_RESET}
+        if kind not in list(ResetKind):
+            raise Rejected(FailureCode.OUT_OF_RANGE, kind)
+        cause = causes[ResetKind(kind)]
+
+        def execute(request: Request) -> None:
+            request.started()
+            request.completed()
+            self._when_line_idle(lambda: self._unit.reset(cause))
+
+        return execute
+
+    def _shutdown(self, request: Request) -> None:
+        request.started()
+        self._unit.raise_event(EventId.SHUTDOWN_STARTED)
+        request.completed()
+        self._when_line_idle(self._unit.shut_down)
+
+    def _when_line_idle(self, action: Callable[[], None]) -> None:
+        """Act when the reports in the queue have left; reports that join meanwhile are waited for as well."""
+        waiting_ns = self._unit.line.duration_ns(self._unit.line.queued_bytes)
+        if waiting_ns:
+            self._unit.later(waiting_ns, lambda: self._when_line_idle(action))
+        else:
+            action()
+
+    def _download(self, arguments: dict[str, Any]) -> Callable[[Request], None]:
+        store = self._unit.image_store
+        if store.downloading:
+            raise Rejected(FailureCode.BUSY)
+        if not store.parts:
+            raise Rejected(FailureCode.NO_IMAGE)
+        first = arguments["first_part"] or 1
+        count = arguments["parts"] or store.parts - first + 1
+        if first > store.parts or first + count - 1 > store.parts:
+            raise Rejected(FailureCode.OUT_OF_RANGE, store.parts)
+        return lambda request: store.download(request, arguments["transaction_id"], first, count)
+
+    def _clear_counters(self) -> None:
+        self._unit.link_counters.clear()
+        self._unit.frame_counters.clear()
+
+    # -- time ------------------------------------------------------------------------------------------------------
+
+    def _time_fields(self, exponent: int) -> dict[str, Any]:
+        unit = self._unit
+        return {
+            "rate_exponent": exponent,
+            "time": unit.time.cuc(unit.clock.now_ns),
+            "time_status": int(unit.time.status),
+        }
+
+    def _time_report_rate(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        exponent = telecommand.fields["rate_exponent"]
+        if exponent > 8:
+            raise Rejected(FailureCode.OUT_OF_RANGE, exponent)
+
+        def execute(request: Request) -> None:
+            self._time_report_exponent = exponent
+            request.completed()
+
+        return execute
+
+    def _set_time(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        time: CucTime = telecommand.fields["time"]
+        received_ns = self.received_ns
+
+        def execute(request: Request) -> None:
+            request.started()
+            self._unit.await_time(request)
+            self._unit.time.prepare(time, received_ns)
+
+        return execute
+
+    # -- parameters ------------------------------------------------------------------------------------------------
+
+    def _parameter_report(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        parameters = self._unit.parameters
+        ids = telecommand.fields["parameter_ids"]
+        values = [{"parameter_id": item, "value": parameters.by_id(item)} for item in ids]
+
+        def execute(request: Request) -> None:
+            self._unit.send("parameter_values", {"values": values})
+            request.completed()
+
+        return execute
+
+    def _parameter_set(self, telecommand: Telecommand) -> Callable[[Request], None]:
+        parameters = self._unit.parameters
+        settings = {item["parameter_id"]: item["value"] for item in telecommand.fields["settings"]}
+        parameters.check(settings)
+
+        def execute(request: Request) -> None:
+            self._parameters_stored(parameters.store(settings))
+            request.completed()
+
+        return execute
+
+    def _parameters_stored(self, count: int) -> None:
+        self._unit.raise_event(EventId.PARAMETERS_STORED, count=count)

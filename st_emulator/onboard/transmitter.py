@@ -1,0 +1,68 @@
+"""Telemetry packets out: sequence counts, message type counters, time stamps, the queue in front of the line."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+from ..clock import VirtualClock
+from ..line import SerialLine
+from ..protocol.framing import slip_encode
+from ..protocol.registry import REGISTRY, encode_telemetry
+from .onboard_time import OnboardTime
+
+QUEUE_LIMIT_BYTES = 32768  # ASSUMED: half of a 64 KiB telemetry buffer, the other half being the image part in work
+
+
+class Transmitter:
+    """Builds and queues the unit's telemetry. A packet that finds the queue full is lost and counted, never half sent."""
+
+    def __init__(self, clock: VirtualClock, line: SerialLine, time: OnboardTime, apid: int, destination_id: int) -> None:
+        self._clock = clock
+        self.line = line
+        self._time = time
+        self._apid = apid
+        self._destination_id = destination_id
+        self._sequence_count = 0
+        self._message_counts: defaultdict[tuple[int, int], int] = defaultdict(int)
+        self.packets = 0
+        self.bytes = 0
+        self.lost_packets = 0
+        self.dropping = False
+
+    def reset(self) -> None:
+        """Counters as after power-on; what waits for the line is lost."""
+        self.line.flush()
+        self._sequence_count = 0
+        self._message_counts.clear()
+        self.dropping = False
+
+    def set_time(self, time: OnboardTime) -> None:
+        """Take the time stamps from another clock (after a cold start)."""
+        self._time = time
+
+    def send(self, name: str, fields: dict[str, Any]) -> bool:
+        """Queue the telemetry message ``name``; False when the queue was full and the packet is lost."""
+        definition = REGISTRY.by_name(name)
+        kind = (definition.service, definition.subservice)
+        packet = encode_telemetry(
+            name,
+            fields,
+            apid=self._apid,
+            sequence_count=self._sequence_count,
+            message_count=self._message_counts[kind],
+            destination_id=self._destination_id,
+            time=self._time.cuc(self._clock.now_ns),
+            time_status=int(self._time.status),
+        )
+        # Both counters go on for a lost packet, so that the receiver sees the gap.
+        self._sequence_count = (self._sequence_count + 1) & 0x3FFF
+        self._message_counts[kind] = (self._message_counts[kind] + 1) & 0xFFFF
+        frame = slip_encode(packet)
+        if self.line.queued_bytes + len(frame) > QUEUE_LIMIT_BYTES:
+            self.lost_packets += 1
+            return False
+        self.packets += 1
+        self.bytes += len(frame)
+        self.line.send(frame)
+        return True

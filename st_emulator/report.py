@@ -1,0 +1,76 @@
+"""Results of commands: figures, the checks that they are held to, JSON and tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from rich.console import Console
+from rich.table import Table
+
+from .errors import ConfigurationError
+
+Direction = Literal["<=", ">=", "=="]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One figure against its target: ``holds`` says whether ``value`` meets it."""
+
+    name: str
+    value: float | int | bool | None
+    target: str
+    unit: str
+    holds: bool
+
+
+def check(name: str, value: float | int | None, direction: Direction, target: float | int, unit: str) -> Check:
+    """``value`` against ``target``; a figure that could not be measured (None or NaN) does not hold."""
+    holds = False
+    if value is not None:
+        holds = {"<=": value <= target, ">=": value >= target, "==": value == target}[direction]
+    return Check(name, value, f"{direction} {target:g}", unit, bool(holds))
+
+
+def all_hold(checks: Sequence[Check]) -> bool:
+    return all(item.holds for item in checks)
+
+
+def write_json(path: str | Path | None, figures: dict[str, Any], checks: Sequence[Check]) -> None:
+    """Write figures and checks as JSON; ``-`` is standard output, None nothing."""
+    if path is None:
+        return
+    text = json.dumps(figures | {"checks": [asdict(item) for item in checks]}, indent=2) + "\n"
+    if str(path) == "-":
+        print(text, end="")
+        return
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def show_checks(console: Console, checks: Sequence[Check]) -> None:
+    """Print the checks as a table."""
+    table = Table(title="Checks", title_justify="left")
+    for column in ("figure", "measured", "target", "unit", ""):
+        table.add_column(column)
+    for item in checks:
+        value = "none" if item.value is None else f"{item.value:.6g}" if isinstance(item.value, float) else str(item.value)
+        table.add_row(item.name, value, item.target, item.unit, "[green]holds[/]" if item.holds else "[red]falls short[/]")
+    console.print(table)
+
+
+def show_figures(console: Console, title: str, figures: dict[str, Any]) -> None:
+    """Print plain figures as a table of two columns."""
+    table = Table(title=title, title_justify="left")
+    table.add_column("figure")
+    table.add_column("value")
+    for name, value in figures.items():
+        if isinstance(value, (list, dict)):
+            continue
+        table.add_row(name, f"{value:.6g}" if isinstance(value, float) else str(value))
+    console.print(table)

@@ -1,0 +1,150 @@
+"""``st-emulator run``: options checked, files opened, the unit run paced or unpaced."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from rich.console import Console
+
+from .clock import NS_PER_S
+from .emulator import Emulator
+from .errors import ConfigurationError
+from .links import open_link, parse_link
+from .onboard.imaging import Lazy
+from .onboard.parameter_store import FileStore, Store, VolatileStore
+from .profile import UnitProfile, load_unit
+from .realtime import FrameWorker, StopSignal, run_paced, run_unpaced
+from .scenario import Scenario, load_scenario
+from .warm_up import warm_up
+from .world.recorded import RecordedFrames
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """The command line of ``run``."""
+
+    unit: str
+    link: str | None = None
+    scenario: Path | None = None
+    speed: str = "1"
+    seed: int | None = None
+    frames: Path | None = None
+    journal: Path | None = None
+    truth: Path | None = None
+    seconds: float | None = None
+    store: str | None = None
+    quiet: bool = False
+
+
+def state_folder() -> Path:
+    """Where units keep their non-volatile memories: ``$XDG_STATE_HOME/st-emulator``, else ``~/.local/state/st-emulator``."""
+    root = os.environ.get("XDG_STATE_HOME", "")
+    return (Path(root) if root and Path(root).is_absolute() else Path.home() / ".local/state") / "st-emulator"
+
+
+def parse_speed(text: str) -> float:
+    """Times real time; infinity for ``max``."""
+    if text == "max":
+        return math.inf
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = math.nan
+    if not 0.01 <= speed <= 1000:
+        raise ConfigurationError(f"--speed {text}: allowed are 1, a number from 0.01 to 1000, or max")
+    return speed
+
+
+def open_output(stack: contextlib.ExitStack, path: Path | None, option: str) -> TextIO | None:
+    if path is None:
+        return None
+    try:
+        return stack.enter_context(path.open("w", encoding="utf-8"))
+    except OSError as error:
+        raise ConfigurationError(f"{option} {path}: cannot be written: {error.strerror}") from error
+
+
+def open_store(options: RunOptions, profile: UnitProfile) -> tuple[Store, str]:
+    """The unit's non-volatile memory and what to tell the user about it."""
+    if options.store == "none" or (options.store is None and options.scenario is not None):
+        return VolatileStore(), "factory parameters, forgotten at the end"
+    path = Path(options.store) if options.store is not None else state_folder() / f"{profile.name}.parameters.json"
+    return FileStore(path, profile.name), str(path)
+
+
+def run_unit(options: RunOptions) -> None:
+    """Run a unit as ``st-emulator run`` does.
+
+    Raises:
+        ConfigurationError, LinkError, RecordedFrameError: something the user can mend.
+    """
+    console = Console(quiet=options.quiet, stderr=True)
+    profile = load_unit(options.unit)
+    scenario = load_scenario(options.scenario) if options.scenario is not None else Scenario()
+    speed = parse_speed(options.speed)
+    link_text = options.link if options.link is not None else ("pty" if speed == 1 else "none")
+    specification = parse_link(link_text)
+    if specification.kind != "none" and speed != 1:
+        raise ConfigurationError(
+            f"--speed {options.speed} with --link {link_text}: a live OBC keeps its own time, so only --speed 1 is "
+            "allowed; use --link none (telecommands from the scenario) for other speeds"
+        )
+    duration_s = options.seconds if options.seconds is not None else scenario.duration_s
+    if duration_s is None and speed == math.inf:
+        raise ConfigurationError("--speed max needs an end: give --seconds, or duration_s in the scenario")
+    until_ns = None if duration_s is None else round(duration_s * NS_PER_S)
+    frames = None
+    if options.frames is not None:
+        frames = RecordedFrames(options.frames, profile.detector.columns, profile.detector.rows)
+    with contextlib.ExitStack() as stack:
+        store, store_text = open_store(options, profile)
+        link = stack.enter_context(open_link(specification, "unit", profile.wire.baud, profile.name))
+        journal = open_output(stack, options.journal, "--journal")
+        truth = open_output(stack, options.truth, "--truth")
+        stop = StopSignal()
+        stack.callback(stop.close)
+        stack.enter_context(stop.installed())
+        with console.status("loading catalogue and compiled kernels"):
+            warm_up(profile)
+        worker = FrameWorker() if speed != math.inf else None
+        if worker is not None:
+            stack.callback(worker.close)
+        emulator = Emulator(
+            profile,
+            scenario,
+            seed=options.seed,
+            frames=frames,
+            store=store,
+            transmit=lambda data, t_ns: (link.write(data), None)[1],
+            journal=journal,
+            truth=truth,
+            submit=worker.submit if worker is not None else Lazy,
+            pace_reception=specification.kind != "serial",
+            baud=specification.baud,
+        )
+        console.print(f"[bold]{profile.unit.title}[/]")
+        console.print(f"link {link.name}, {emulator.baud} baud, APID {profile.apid}, frames at {1000 / profile.timing.frame_period_ms:g} Hz, seed {emulator.seed}")
+        console.print(f"non-volatile memory: {store_text}")
+        end = "until stopped (Ctrl-C)" if until_ns is None else f"for {duration_s:g} s of virtual time"
+        console.print(f"running {end}, speed {options.speed}")
+        try:
+            if speed == math.inf:
+                assert until_ns is not None
+                run_unpaced(emulator, stop=stop, until_ns=until_ns)
+            else:
+                run_paced(
+                    emulator, link, stop=stop, speed=speed, until_ns=until_ns, on_wait=emulator.flush
+                )
+        finally:
+            emulator.close()
+        unit = emulator.unit
+        console.print(
+            f"stopped at {emulator.now_ns / NS_PER_S:.3f} s: {unit.frame_counters.frames_processed} frames, "
+            f"{unit.frame_counters.frames_valid} valid, {unit.link_counters.tc_received} telecommands, "
+            f"{unit.transmitter.packets} telemetry packets"
+        )

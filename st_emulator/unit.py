@@ -1,0 +1,457 @@
+"""One star tracker: bytes and frames in, bytes out, in virtual time. It touches no port, no file but its store, no clock.
+
+Its parts: the receiver (telecommands), the transmitter (telemetry), imaging (frames in time), the parameters and the
+services. This class owns the mode (by the one table in ``firmware_model.modes``) and tells the parts of each other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .clock import NS_PER_MS, NS_PER_US, ScheduledEvent, VirtualClock
+from .firmware_model.configuration import StarTables
+from .firmware_model.firmware import Acquisition, FirmwareState
+from .firmware_model.modes import Mode, ModeEvent, next_mode
+from .firmware_model.reasons import Reason
+from .line import SerialLine
+from .onboard.counters import FrameCounters, LinkCounters
+from .onboard.image_store import ImageStore
+from .onboard.imaging import FrameRecord, FrameSettings, FrameSource, Imaging, Lazy, Submit, microseconds
+from .onboard.memories import Memories
+from .onboard.onboard_time import OnboardTime
+from .onboard.parameter_store import Store
+from .onboard.parameters import Parameters
+from .onboard.requests import Handler, Receiver, Request
+from .onboard.services import Services
+from .onboard.transmitter import Transmitter
+from .profile import UnitProfile
+from .protocol.enumerations import (
+    EventId,
+    FailureCode,
+    FaultCause,
+    HousekeepingId,
+    ResetCause,
+    SelfTest,
+)
+from .protocol.events import EVENT_TABLE
+
+EVENT_MESSAGES = {definition.id: definition.message_name for definition in EVENT_TABLE}
+SILENT = (Mode.BOOT, Mode.OFF)
+SELF_TEST_STEPS = 4
+TEMPERATURE_CDEG = 2000  # ASSUMED: 20.00 deg C; no thermal model
+
+
+@dataclass
+class LastAttitude:
+    """The last valid attitude, repeated in invalid reports so that a careless reader sees no jump to zero."""
+
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+
+class StarTracker:
+    """The unit behind its line.
+
+    Args:
+        profile: the unit file.
+        clock: the virtual clock; power comes on at its present time with :meth:`power_on`.
+        line: the serial line; the unit's telemetry goes out on it, ``receive`` takes what comes in.
+        source: what the detector sees.
+        tables: the on-board catalogue.
+        store: the non-volatile memory.
+        submit: how a frame's computation is started (at once beside the loop, or when needed).
+        on_frame: called when a frame is exposed, with its record (the truth is written there).
+    """
+
+    def __init__(
+        self,
+        profile: UnitProfile,
+        clock: VirtualClock,
+        line: SerialLine,
+        source: FrameSource,
+        tables: StarTables,
+        store: Store,
+        *,
+        submit: Submit = Lazy,
+        on_frame: Callable[[FrameRecord], None] = lambda record: None,
+    ) -> None:
+        self.profile = profile
+        self.clock = clock
+        self.line = line
+        self.tables = tables
+        self._tables_digest = digest_of(tables)
+        self.mode = Mode.OFF
+        self.time = OnboardTime()
+        self.link_counters = LinkCounters()
+        self.frame_counters = FrameCounters()
+        self.transmitter = Transmitter(clock, line, self.time, profile.wire.apid, profile.wire.source_id)
+        self.receiver = Receiver(self, profile.wire.apid, self.link_counters)
+        self.parameters = Parameters(profile, store)
+        self.imaging = Imaging(
+            clock,
+            source,
+            self,
+            tables,
+            period_ns=profile.frame_period_ns,
+            readout_ns=int(profile.timing.readout_ms * NS_PER_MS),
+            submit=submit,
+        )
+        self.image_store = ImageStore(self)
+        self.memories = Memories(self)
+        self.services = Services(self)
+        self.disabled_events: set[int] = set()
+        self.last_frame: FrameRecord | None = None
+        self.last_frame_index = 0
+        self.last_reasons = Reason.NOT_ACQUIRING
+        self.self_test_result = SelfTest(0)
+        self.reset_cause = ResetCause.POWER_ON
+        self._last_attitude = LastAttitude()
+        self._on_frame = on_frame
+        self._powered_ns = 0
+        self._blinded = False
+        self._life = 0  # counts starts; an action scheduled in an earlier life is void
+        self._self_test: Request | None = None
+        self._self_test_frame = False
+        self._time_request: Request | None = None
+        self._housekeeping: dict[int, ScheduledEvent] = {}
+
+    # -- life ------------------------------------------------------------------------------------------------------
+
+    def power_on(self) -> None:
+        """Start the unit at the present time; the frame grid runs from here."""
+        self.imaging.start()
+        self._boot(ResetCause.POWER_ON)
+
+    def later(self, delay_ns: int, action: Callable[[], None]) -> ScheduledEvent:
+        """Schedule an action that a reset makes void."""
+        life = self._life
+        return self.clock.after(delay_ns, lambda: action() if self._life == life else None)
+
+    def _boot(self, cause: ResetCause) -> None:
+        self._life += 1
+        self._set_mode(Mode.BOOT)
+        self.reset_cause = cause
+        self.transmitter.reset()
+        self.receiver.reset()
+        self.link_counters.clear()
+        self.frame_counters.clear()
+        self.disabled_events.clear()
+        self.image_store.reset()
+        self.memories.reset()
+        self.services.reset()
+        self.imaging.stop()
+        self.imaging.cancel_capture()
+        self.last_frame = None
+        self.last_reasons = Reason.NOT_ACQUIRING
+        self._last_attitude = LastAttitude()
+        self._blinded = False
+        self._self_test = self._time_request = None
+        self.self_test_result = SelfTest(0)
+        self.time.discard_pending()
+        self._powered_ns = self.clock.now_ns
+        self._store_fault = self.parameters.load(count_start=True)
+        self.later(self.profile.timing.boot_ms * NS_PER_MS, self._boot_done)
+
+    def _boot_done(self) -> None:
+        self._follow(ModeEvent.BOOT_DONE, announce=False)
+        self.raise_event(EventId.BOOT_COMPLETED, boot_count=self.parameters.boot_count & 0xFFFF, reset_cause=int(self.reset_cause))
+        if self._store_fault is not None:
+            self.raise_event(EventId.PARAMETER_STORE_INVALID, cause=int(self._store_fault))
+        interval_ms = self.profile.wire.status_interval_ms
+        if interval_ms:
+            self.services.enable_housekeeping(HousekeepingId.STATUS, interval_ms)
+        if self.parameters["autonomous_start"]:
+            self.start_acquisition(ModeEvent.AUTONOMOUS_START)
+
+    def reset(self, cause: ResetCause) -> None:
+        """Restart: cold also forgets the on-board time."""
+        if cause == ResetCause.COLD_RESET:
+            self.time = OnboardTime()
+            self.transmitter.set_time(self.time)
+        self._boot(cause)
+
+    def shut_down(self) -> None:
+        """Leave for OFF: nothing is sent or processed until power is cycled."""
+        self.imaging.stop()
+        self.services.reset()
+        self._life += 1
+        self._set_mode(Mode.OFF)
+
+    # -- modes -----------------------------------------------------------------------------------------------------
+
+    def _set_mode(self, mode: Mode) -> None:
+        self.mode = mode
+
+    def _follow(self, event: ModeEvent, *, announce: bool = True) -> None:
+        """Change the mode as the table says; an event that the table does not know in this mode changes nothing."""
+        target = next_mode(self.mode, event)
+        if target is None or target == self.mode:
+            return
+        before, self.mode = self.mode, target
+        if announce:
+            self.raise_event(EventId.MODE_CHANGED, from_mode=int(before), to_mode=int(target), cause=int(event))
+
+    def start_acquisition(self, event: ModeEvent = ModeEvent.COMMAND_ACQUIRE) -> None:
+        """Find the attitude from nothing; in TRACKING the search starts anew."""
+        self.imaging.acquire()
+        self._follow(event)
+
+    def track_from(self, quaternion: tuple[float, float, float, float]) -> None:
+        """Track from a given attitude, without lost in space."""
+        state = FirmwareState.track_from(np.array(quaternion), self.clock.now_ns)
+        self.imaging.acquire(state, Acquisition.TRACKING)
+        self._follow(ModeEvent.COMMAND_TRACK_FROM)
+
+    def go_standby(self) -> None:
+        self.imaging.stop()
+        self.last_reasons = Reason.NOT_ACQUIRING
+        self._follow(ModeEvent.COMMAND_STANDBY)
+
+    def enter_fault(self, cause: FaultCause) -> None:
+        self.imaging.stop()
+        self._follow(ModeEvent.FAULT_DETECTED)
+        self.raise_event(EventId.FAULT_ENTERED, cause=int(cause))
+
+    # -- self-test -------------------------------------------------------------------------------------------------
+
+    def start_self_test(self, request: Request) -> None:
+        """Test memory, store, catalogue, sensor and processor; report progress; back to STANDBY, or FAULT."""
+        self.imaging.stop()
+        self.image_store.abort_capture()
+        self._self_test = request
+        self._self_test_frame = False
+        self.self_test_result = SelfTest(0)
+        self._follow(ModeEvent.COMMAND_SELF_TEST)
+        request.started()
+        self.imaging.capture()
+        step_ns = self.profile.timing.self_test_ms * NS_PER_MS // SELF_TEST_STEPS
+        for step in range(1, SELF_TEST_STEPS + 1):
+            self.later(step * step_ns, lambda step=step: self._self_test_step(request, step))  # type: ignore[misc]
+
+    def _self_test_step(self, request: Request, step: int) -> None:
+        if self._self_test is not request:
+            return
+        failed = SelfTest(0)
+        if step == 1 and not self.memories.test_ram():
+            failed = SelfTest.MEMORY
+        elif step == 2 and self.parameters.stored_fault() is not None:
+            failed = SelfTest.PARAMETER_STORE
+        elif step == 3 and digest_of(self.tables) != self._tables_digest:
+            failed = SelfTest.CATALOGUE
+        elif step == 4 and not self._self_test_frame:
+            failed = SelfTest.SENSOR
+        self.self_test_result |= failed
+        if step < SELF_TEST_STEPS:
+            request.progressed(step)
+            return
+        self._self_test = None
+        self.raise_event(EventId.SELF_TEST_COMPLETED, result=int(self.self_test_result))
+        if self.self_test_result:
+            request.failed(FailureCode.SELF_TEST_FAILED, int(self.self_test_result))
+            self._follow(ModeEvent.SELF_TEST_FAILED)
+            self.raise_event(EventId.FAULT_ENTERED, cause=int(FaultCause.SELF_TEST_FAILED))
+        else:
+            request.progressed(step)
+            request.completed()
+            self._follow(ModeEvent.SELF_TEST_PASSED)
+
+    # -- the line --------------------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes) -> None:
+        """Bytes whose last bit has arrived now."""
+        if self.mode in SILENT:
+            return  # the receiver is off: as on the real line, the bytes are lost
+        latency_ns = self.profile.timing.telecommand_latency_us * NS_PER_US
+        for raw in self.receiver.receive(data, self.clock.now_ns):
+            received_ns = self.clock.now_ns
+            self.later(latency_ns, lambda raw=raw, at=received_ns: self._handle(raw, at))  # type: ignore[misc]
+
+    def _handle(self, raw: bytes, received_ns: int) -> None:
+        if self.mode in SILENT:
+            return
+        self.services.received_ns = received_ns
+        self.receiver.handle(raw)
+
+    def send(self, name: str, fields: dict[str, Any]) -> bool:
+        """Send telemetry; nothing leaves in BOOT and OFF."""
+        if self.mode in SILENT:
+            return False
+        sent = self.transmitter.send(name, fields)
+        if not sent and not self.transmitter.dropping:
+            self.transmitter.dropping = True
+        elif sent and self.transmitter.dropping:
+            self.transmitter.dropping = False
+            self.raise_event(EventId.TX_QUEUE_OVERFLOWED, packets=self.transmitter.lost_packets & 0xFFFF)
+        return sent
+
+    def raise_event(self, event: EventId, **data: Any) -> None:
+        if int(event) not in self.disabled_events:
+            self.send(EVENT_MESSAGES[event], {"event_id": int(event), "data": data})
+
+    def handler(self, name: str) -> Handler:
+        return self.services.handler(name)
+
+    # -- imaging's client ------------------------------------------------------------------------------------------
+
+    def frame_started(self, frame_index: int) -> None:
+        self.last_frame_index = frame_index
+        if self.mode in SILENT:
+            return
+        change = self.time.apply(self.clock.now_ns)
+        if change is not None:
+            self.raise_event(EventId.TIME_SET, old=change[0], new=change[1])
+            if self._time_request is not None:
+                self._time_request.completed()
+                self._time_request = None
+        self.services.frame_started(frame_index)
+
+    def await_time(self, request: Request) -> None:
+        """``request`` sets the time and completes when the time comes into force; an earlier one is superseded."""
+        if self._time_request is not None:
+            self._time_request.failed(FailureCode.SUPERSEDED)
+        self._time_request = request
+
+    def frame_settings(self) -> FrameSettings:
+        return self.parameters.frame_settings()
+
+    def onboard_tai_ns(self, t_ns: int) -> int | None:
+        return self.time.tai_ns(t_ns) if self.time.synchronised else None
+
+    def frame_exposed(self, record: FrameRecord) -> None:
+        self._on_frame(record)
+
+    def image_captured(self, record: FrameRecord) -> None:
+        if self._self_test is not None:
+            self._self_test_frame = True
+        elif self.mode not in SILENT:
+            self.image_store.keep(record, self.time.cuc(record.mid_exposure_ns))
+
+    def frame_completed(self, record: FrameRecord) -> None:
+        result = record.result
+        assert result is not None and record.cycles is not None
+        counters = self.frame_counters
+        counters.frames_processed += 1
+        counters.frames_valid += result.valid
+        counters.frames_tracking += result.valid and record.acquisition is Acquisition.TRACKING
+        counters.frames_late += record.late_ns > 0
+        counters.worst_cycles = max(counters.worst_cycles, record.cycles.total)
+        self.last_frame = record
+        self.last_reasons = result.reasons
+        if result.valid:
+            self._last_attitude = LastAttitude(tuple(float(value) for value in result.q_icrs_to_sensor))
+        self._report_attitude(record)
+        if record.late_ns:
+            self.raise_event(
+                EventId.FRAME_OVERRAN,
+                frame_index=record.index,
+                cycles=record.cycles.total,
+                budget=self.cycle_budget,
+                late_us=microseconds(record.late_ns),
+            )
+        self._follow_frame(record)
+
+    def _follow_frame(self, record: FrameRecord) -> None:
+        result = record.result
+        assert result is not None
+        blinded = bool(result.reasons & Reason.BLINDED)
+        if blinded and not self._blinded:
+            background = min(65535, round(result.background_dn))
+            self.raise_event(EventId.SENSOR_BLINDED, frame_index=record.index, background_dn=background)
+        self._blinded = blinded
+        if result.event is ModeEvent.ATTITUDE_ACQUIRED and self.mode == Mode.LOST_IN_SPACE:
+            self.raise_event(EventId.ATTITUDE_ACQUIRED, frame_index=record.index, stars=min(255, len(result.stars)))
+        elif result.event is ModeEvent.TRACKING_LOST and self.mode == Mode.TRACKING:
+            self.raise_event(EventId.TRACKING_LOST, frame_index=record.index, reasons=int(result.reasons))
+        if result.event is not None:
+            self._follow(result.event)
+
+    def frame_dropped(self, record: FrameRecord) -> None:
+        self.frame_counters.frames_dropped += 1
+        assert record.drop_cause is not None
+        reasons = Reason.FRAME_DROPPED
+        reasons |= Reason.NO_FRAME if record.pixels is None and record.drop_cause == 2 else Reason.OVERRUN
+        self.last_reasons = reasons
+        self.raise_event(EventId.FRAME_DROPPED, frame_index=record.index, cause=int(record.drop_cause))
+        if self.parameters["attitude_report"]:
+            self.send("attitude_report", self._attitude_fields(record, reasons))
+
+    @property
+    def cycle_budget(self) -> int:
+        """Cycles of one frame period at the present clock."""
+        return int(self.parameters["clock_hz"]) * self.profile.timing.frame_period_ms // 1000
+
+    def _report_attitude(self, record: FrameRecord) -> None:
+        if self.parameters["attitude_report"]:
+            assert record.result is not None
+            self.send("attitude_report", self._attitude_fields(record, record.result.reasons))
+
+    def _attitude_fields(self, record: FrameRecord, reasons: Reason) -> dict[str, Any]:
+        """The report of a processed frame, or of a dropped one (``record.result`` is None)."""
+        result, cycles = record.result, record.cycles
+        x, y, z, w = self._last_attitude.quaternion
+        fields: dict[str, Any] = {
+            "frame_index": record.index,
+            "mid_exposure_time": self.time.cuc(record.mid_exposure_ns),
+            "time_status": int(self.time.status),
+            "mode": int(self.mode if record.acquisition is None else record.acquisition),
+            "valid": int(result is not None and result.valid),
+            "reasons": int(reasons),
+            "q_x": x,
+            "q_y": y,
+            "q_z": z,
+            "q_w": w,
+            "exposure_us": microseconds(record.exposure_ns),
+            "cycles": cycles.total if cycles is not None else 0,
+            "latency_us": microseconds(self.clock.now_ns - record.mid_exposure_ns),
+            "late": int(record.late_ns > 0),
+            "frames_dropped_before": min(65535, record.dropped_before),
+        }
+        covariance = np.zeros((3, 3)) if result is None or not result.valid else result.covariance_rad2
+        for i, j, name in ((0, 0, "xx"), (0, 1, "xy"), (0, 2, "xz"), (1, 1, "yy"), (1, 2, "yz"), (2, 2, "zz")):
+            fields[f"covariance_{name}"] = float(covariance[i, j])
+        rate = None if result is None else result.rate_rad_s
+        fields["rate_valid"] = int(rate is not None)
+        for axis, name in enumerate("xyz"):
+            fields[f"rate_{name}"] = 0.0 if rate is None else float(rate[axis])
+        if result is None:
+            return fields | {
+                "spots_detected": 0,
+                "stars_identified": 0,
+                "windows": 0,
+                "window_half_width_px": 0,
+                "residual_rms_arcsec": 0.0,
+                "background_dn": 0.0,
+                "noise_dn": 0.0,
+            }
+        return fields | {
+            "spots_detected": min(65535, result.spots_detected),
+            "stars_identified": min(65535, len(result.stars)),
+            "windows": min(65535, len(result.rects)),
+            "window_half_width_px": min(65535, result.window_half_width_px),
+            "residual_rms_arcsec": float(result.residual_rms_arcsec),
+            "background_dn": float(result.background_dn),
+            "noise_dn": float(result.noise_dn),
+        }
+
+    # -- housekeeping ----------------------------------------------------------------------------------------------
+
+    @property
+    def temperature_cdeg(self) -> int:
+        return TEMPERATURE_CDEG
+
+    @property
+    def uptime_ms(self) -> int:
+        return (self.clock.now_ns - self._powered_ns) // NS_PER_MS
+
+
+def digest_of(tables: StarTables) -> bytes:
+    """Digest of the on-board star tables, for the self-test."""
+    digest = hashlib.sha256()
+    arrays = tables.catalogue.to_arrays() | tables.pairs.to_arrays()
+    for name in sorted(arrays):
+        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
+    return digest.digest()
