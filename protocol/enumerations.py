@@ -5,6 +5,7 @@ Each member's meaning stands in ``MEANINGS`` below; the interface control docume
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from enum import Enum, IntEnum, IntFlag
 
 
@@ -79,6 +80,8 @@ class MalformedReason(IntEnum):
     UNKNOWN_SUBSERVICE = 13
     UNKNOWN_ID = 14
     BAD_FIELDS = 15
+    FRAME_OVERSIZED = 16
+    FRAME_BAD_ESCAPE = 17
 
     @property
     def failure_code(self) -> FailureCode:
@@ -91,6 +94,15 @@ class FramingReason(IntEnum):
 
     OVERSIZED = 1
     BAD_ESCAPE = 2
+
+    @property
+    def malformed_reason(self) -> MalformedReason:
+        """Its number in event TC_MALFORMED, apart from those of the packet parser."""
+        return (
+            MalformedReason.FRAME_OVERSIZED
+            if self is FramingReason.OVERSIZED
+            else MalformedReason.FRAME_BAD_ESCAPE
+        )
 
 
 class HousekeepingId(IntEnum):
@@ -265,104 +277,140 @@ _FAILURE_OF_MALFORMED: dict[MalformedReason, FailureCode] = {
     MalformedReason.UNKNOWN_SUBSERVICE: FailureCode.UNKNOWN_SUBSERVICE,
     MalformedReason.UNKNOWN_ID: FailureCode.UNKNOWN_ID,
     MalformedReason.BAD_FIELDS: FailureCode.BAD_FIELDS,
+    MalformedReason.FRAME_OVERSIZED: FailureCode.LENGTH,
+    MalformedReason.FRAME_BAD_ESCAPE: FailureCode.LENGTH,
 }
 
-MEANINGS: dict[Enum, str] = {
-    Mode.BOOT: "initialising after power-on or reset; no attitude",
-    Mode.SELF_TEST: "testing itself; no attitude",
-    Mode.STANDBY: "waiting for a command; frames are not processed",
-    Mode.LOST_IN_SPACE: "looking for the attitude over the whole sky, without any prior",
-    Mode.TRACKING: "following the stars in detection windows from frame to frame",
-    Mode.FAULT: "stopped by a fault; only a reset or a self-test leads out",
-    Mode.OFF: "shut down; nothing is sent until power is cycled",
-    Reason.TOO_FEW_STARS: "fewer spots or identified stars than the solution needs",
-    Reason.NO_MATCH: "enough spots, but no consistent identification",
-    Reason.BLINDED: "background above the limit of parameter blinded_background_dn",
-    Reason.RATE_TOO_HIGH: "angular rate above what the detection windows cover",
-    Reason.OVERRUN: "the frame needed more cycles than its budget",
-    Reason.NOT_ACQUIRING: "the mode does not process frames",
-    Reason.FRAME_DROPPED: "the frame was dropped before processing",
-    Reason.PIVOT_LOST: "no star could serve as pivot for the verification of the windows",
-    Reason.RESIDUAL_TOO_LARGE: "residual of the attitude solution above the tolerance",
-    Reason.AMBIGUOUS: "more than one consistent identification",
-    Reason.WORK_LIMIT: "the search was cut off at its work limit",
-    Reason.NO_FRAME: "the sensor delivered no frame",
-    Reason.TOO_MANY_SPOTS: "more spots than the unit handles",
-    FailureCode.UNKNOWN_APID: "no application process of this APID here (reported by 1,10); data: the APID",
-    FailureCode.LENGTH: "packet too short, too long or not of the length it states; data: bytes received",
-    FailureCode.CRC: "packet error control does not match; data: CRC received",
-    FailureCode.UNKNOWN_SERVICE: "service not provided; data: service",
-    FailureCode.UNKNOWN_SUBSERVICE: "message subtype not provided; data: service * 256 + subservice",
-    FailureCode.BAD_FIELDS: "application data do not fit the layout; data: bytes of the packet",
-    FailureCode.NOT_ALLOWED_IN_MODE: "not allowed in the present mode; data: mode",
-    FailureCode.OUT_OF_RANGE: "a value is outside its range; data: the identifier concerned, else 0",
-    FailureCode.UNKNOWN_ID: "unknown structure, parameter, function, event or memory; data: the "
-    "identifier, 0 when it could not be decoded",
-    FailureCode.READ_ONLY: "the parameter or memory cannot be written; data: its identifier",
-    FailureCode.BUSY: "an earlier request of this kind is still running; data: 0",
-    FailureCode.NO_IMAGE: "no captured image; data: 0",
-    FailureCode.BAD_CHECKSUM: "checksum of the data to load does not match; data: checksum computed on board",
-    FailureCode.ADDRESS: "address range outside the memory; data: start address",
-    FailureCode.SUPERSEDED: "ended by a later telecommand before it completed; data: 0",
-    FailureCode.SELF_TEST_FAILED: "the self-test found a failure; data: self-test result bits",
-    FailureCode.ABORTED: "aborted by telecommand or by leaving the mode; data: 0",
-    FailureCode.HEADER: "packet header or secondary header not of the supported form; data: malformed reason",
-    MalformedReason.TOO_SHORT: "fewer bytes than the smallest packet",
-    MalformedReason.TOO_LONG: "more bytes than the largest packet of this interface",
-    MalformedReason.LENGTH_MISMATCH: "number of bytes differs from the packet data length field",
-    MalformedReason.BAD_CRC: "packet error control does not match",
-    MalformedReason.BAD_VERSION: "packet version number is not 0",
-    MalformedReason.NOT_TELECOMMAND: "packet type is telemetry where a telecommand is expected",
-    MalformedReason.NOT_TELEMETRY: "packet type is telecommand where telemetry is expected",
-    MalformedReason.UNKNOWN_APID: "APID is not one of the receiver's",
-    MalformedReason.NO_SECONDARY_HEADER: "secondary header flag is 0",
-    MalformedReason.SEGMENTED: "sequence flags are not '11' (unsegmented)",
-    MalformedReason.BAD_PUS_VERSION: "PUS version number is not 2",
-    MalformedReason.UNKNOWN_SERVICE: "service type unknown",
-    MalformedReason.UNKNOWN_SUBSERVICE: "message subtype unknown in a known service",
-    MalformedReason.UNKNOWN_ID: "an identifier that determines the layout of what follows is unknown",
-    MalformedReason.BAD_FIELDS: "application or source data do not fit the layout",
-    FramingReason.OVERSIZED: "more bytes between two ENDs than the decoder accepts",
-    FramingReason.BAD_ESCAPE: "ESC followed by neither ESC_END nor ESC_ESC",
-    HousekeepingId.STATUS: "mode, start, time and frame statistics",
-    HousekeepingId.LINK: "counters of the command link",
-    HousekeepingId.TIMING: "processor cycles of the last frame by stage",
-    EventSeverity.INFO: "informative",
-    EventSeverity.LOW: "low severity anomaly",
-    EventSeverity.MEDIUM: "medium severity anomaly",
-    EventSeverity.HIGH: "high severity anomaly",
-    MemoryId.RAM: "working memory: loadable scratch area",
-    MemoryId.NON_VOLATILE: "non-volatile memory: the stored parameters",
-    MemoryId.IMAGE: "the captured image, read-only",
-    TimeStatus.FREE_RUNNING: "time counts from the unit's start; it has not been set since",
-    TimeStatus.SET: "time has been set by telecommand 9,128 since the start",
-    ResetCause.POWER_ON: "power was applied",
-    ResetCause.WARM_RESET: "function RESET, warm",
-    ResetCause.COLD_RESET: "function RESET, cold",
-    ResetCause.WATCHDOG: "watchdog expired",
-    ResetCause.FAULT: "restart after a fault",
-    ResetKind.WARM: "restart the software; time, counters and settings are kept",
-    ResetKind.COLD: "restart as after power-on",
-    FrameDropCause.OVERRUN: "the frame before it overran its budget",
-    FrameDropCause.PROCESSOR_BUSY: "the processor was busy with other work",
-    FrameDropCause.NO_FRAME_FROM_SENSOR: "the sensor delivered no frame",
-    SelfTest.PROCESSOR: "processor test",
-    SelfTest.MEMORY: "working memory test",
-    SelfTest.PARAMETER_STORE: "stored parameters are damaged",
-    SelfTest.CATALOGUE: "star catalogue checksum",
-    SelfTest.SENSOR: "image sensor does not answer or its test pattern is wrong",
-    SelfTest.CLOCK: "clock out of tolerance",
-    FaultCause.SELF_TEST_FAILED: "the self-test failed",
-    FaultCause.SENSOR_LOST: "no frames from the sensor",
-    FaultCause.PROCESSOR_OVERLOADED: "every frame overruns",
-    FaultCause.CATALOGUE_DAMAGED: "star catalogue damaged",
-    FaultCause.COMMANDED: "fault injected by the bench",
-    StoreInvalidCause.ABSENT: "nothing stored",
-    StoreInvalidCause.TRUNCATED: "stored record is cut short",
-    StoreInvalidCause.BAD_CHECKSUM: "stored record's checksum does not match",
-    StoreInvalidCause.OUT_OF_RANGE: "a stored value is outside its range",
-    StoreInvalidCause.OTHER_UNIT: "stored by a unit of another type or version",
-}
+_MEANINGS: tuple[tuple[Enum, str], ...] = (
+    (Mode.BOOT, "initialising after power-on or reset; no attitude"),
+    (Mode.SELF_TEST, "testing itself; no attitude"),
+    (Mode.STANDBY, "waiting for a command; frames are not processed"),
+    (Mode.LOST_IN_SPACE, "looking for the attitude over the whole sky, without any prior"),
+    (Mode.TRACKING, "following the stars in detection windows from frame to frame"),
+    (Mode.FAULT, "stopped by a fault; only a reset or a self-test leads out"),
+    (Mode.OFF, "shut down; nothing is sent until power is cycled"),
+    (Reason.TOO_FEW_STARS, "fewer spots or identified stars than the solution needs"),
+    (Reason.NO_MATCH, "enough spots, but no consistent identification"),
+    (Reason.BLINDED, "background above the limit of parameter blinded_background_dn"),
+    (Reason.RATE_TOO_HIGH, "angular rate above what the detection windows cover"),
+    (Reason.OVERRUN, "the frame needed more cycles than its budget"),
+    (Reason.NOT_ACQUIRING, "the mode does not process frames"),
+    (Reason.FRAME_DROPPED, "the frame was dropped before processing"),
+    (Reason.PIVOT_LOST, "no star could serve as pivot for the verification of the windows"),
+    (Reason.RESIDUAL_TOO_LARGE, "residual of the attitude solution above the tolerance"),
+    (Reason.AMBIGUOUS, "more than one consistent identification"),
+    (Reason.WORK_LIMIT, "the search was cut off at its work limit"),
+    (Reason.NO_FRAME, "the sensor delivered no frame"),
+    (Reason.TOO_MANY_SPOTS, "more spots than the unit handles"),
+    (FailureCode.UNKNOWN_APID, "no application process of this APID here (reported by 1,10); data: the APID"),
+    (FailureCode.LENGTH, "packet too short, too long or not of the length it states; data: bytes received"),
+    (FailureCode.CRC, "packet error control does not match; data: CRC received"),
+    (FailureCode.UNKNOWN_SERVICE, "service not provided; data: service"),
+    (FailureCode.UNKNOWN_SUBSERVICE, "message subtype not provided; data: service * 256 + subservice"),
+    (FailureCode.BAD_FIELDS, "application data do not fit the layout; data: bytes of the packet"),
+    (FailureCode.NOT_ALLOWED_IN_MODE, "not allowed in the present mode; data: mode"),
+    (FailureCode.OUT_OF_RANGE, "a value is outside its range; data: the identifier concerned, else 0"),
+    (
+        FailureCode.UNKNOWN_ID,
+        "unknown structure, parameter, function, event or memory; data: the "
+        "identifier, 0 when it could not be decoded",
+    ),
+    (FailureCode.READ_ONLY, "the parameter or memory cannot be written; data: its identifier"),
+    (FailureCode.BUSY, "an earlier request of this kind is still running; data: 0"),
+    (FailureCode.NO_IMAGE, "no captured image; data: 0"),
+    (
+        FailureCode.BAD_CHECKSUM,
+        "checksum of the data to load does not match; data: checksum computed on board",
+    ),
+    (FailureCode.ADDRESS, "address range outside the memory; data: start address"),
+    (FailureCode.SUPERSEDED, "ended by a later telecommand before it completed; data: 0"),
+    (FailureCode.SELF_TEST_FAILED, "the self-test found a failure; data: self-test result bits"),
+    (FailureCode.ABORTED, "aborted by telecommand or by leaving the mode; data: 0"),
+    (
+        FailureCode.HEADER,
+        "packet header or secondary header not of the supported form; data: malformed reason",
+    ),
+    (MalformedReason.TOO_SHORT, "fewer bytes than the smallest packet"),
+    (MalformedReason.TOO_LONG, "more bytes than the largest packet of this interface"),
+    (MalformedReason.LENGTH_MISMATCH, "number of bytes differs from the packet data length field"),
+    (MalformedReason.BAD_CRC, "packet error control does not match"),
+    (MalformedReason.BAD_VERSION, "packet version number is not 0"),
+    (MalformedReason.NOT_TELECOMMAND, "packet type is telemetry where a telecommand is expected"),
+    (MalformedReason.NOT_TELEMETRY, "packet type is telecommand where telemetry is expected"),
+    (MalformedReason.UNKNOWN_APID, "APID is not one of the receiver's"),
+    (MalformedReason.NO_SECONDARY_HEADER, "secondary header flag is 0"),
+    (MalformedReason.SEGMENTED, "sequence flags are not '11' (unsegmented)"),
+    (MalformedReason.BAD_PUS_VERSION, "PUS version number is not 2"),
+    (MalformedReason.UNKNOWN_SERVICE, "service type unknown"),
+    (MalformedReason.UNKNOWN_SUBSERVICE, "message subtype unknown in a known service"),
+    (MalformedReason.UNKNOWN_ID, "an identifier that determines the layout of what follows is unknown"),
+    (MalformedReason.BAD_FIELDS, "application or source data do not fit the layout"),
+    (MalformedReason.FRAME_OVERSIZED, "frame longer than the receive buffer (line decoder)"),
+    (MalformedReason.FRAME_BAD_ESCAPE, "DB followed by neither DC nor DD (line decoder)"),
+    (FramingReason.OVERSIZED, "more bytes between two ENDs than the decoder accepts"),
+    (FramingReason.BAD_ESCAPE, "ESC followed by neither ESC_END nor ESC_ESC"),
+    (HousekeepingId.STATUS, "mode, start, time and frame statistics"),
+    (HousekeepingId.LINK, "counters of the command link"),
+    (HousekeepingId.TIMING, "processor cycles of the last frame by stage"),
+    (EventSeverity.INFO, "informative"),
+    (EventSeverity.LOW, "low severity anomaly"),
+    (EventSeverity.MEDIUM, "medium severity anomaly"),
+    (EventSeverity.HIGH, "high severity anomaly"),
+    (MemoryId.RAM, "working memory: loadable scratch area"),
+    (MemoryId.NON_VOLATILE, "non-volatile memory: the stored parameters"),
+    (MemoryId.IMAGE, "the captured image, read-only"),
+    (TimeStatus.FREE_RUNNING, "time counts from the unit's start; it has not been set since"),
+    (TimeStatus.SET, "time has been set by telecommand 9,128 since the start"),
+    (ResetCause.POWER_ON, "power was applied"),
+    (ResetCause.WARM_RESET, "function RESET, warm"),
+    (ResetCause.COLD_RESET, "function RESET, cold"),
+    (ResetCause.WATCHDOG, "watchdog expired"),
+    (ResetCause.FAULT, "restart after a fault"),
+    (ResetKind.WARM, "restart the software; time, counters and settings are kept"),
+    (ResetKind.COLD, "restart as after power-on"),
+    (FrameDropCause.OVERRUN, "the frame before it overran its budget"),
+    (FrameDropCause.PROCESSOR_BUSY, "the processor was busy with other work"),
+    (FrameDropCause.NO_FRAME_FROM_SENSOR, "the sensor delivered no frame"),
+    (SelfTest.PROCESSOR, "processor test"),
+    (SelfTest.MEMORY, "working memory test"),
+    (SelfTest.PARAMETER_STORE, "stored parameters are damaged"),
+    (SelfTest.CATALOGUE, "star catalogue checksum"),
+    (SelfTest.SENSOR, "image sensor does not answer or its test pattern is wrong"),
+    (SelfTest.CLOCK, "clock out of tolerance"),
+    (FaultCause.SELF_TEST_FAILED, "the self-test failed"),
+    (FaultCause.SENSOR_LOST, "no frames from the sensor"),
+    (FaultCause.PROCESSOR_OVERLOADED, "every frame overruns"),
+    (FaultCause.CATALOGUE_DAMAGED, "star catalogue damaged"),
+    (FaultCause.COMMANDED, "fault injected by the bench"),
+    (StoreInvalidCause.ABSENT, "nothing stored"),
+    (StoreInvalidCause.TRUNCATED, "stored record is cut short"),
+    (StoreInvalidCause.BAD_CHECKSUM, "stored record's checksum does not match"),
+    (StoreInvalidCause.OUT_OF_RANGE, "a stored value is outside its range"),
+    (StoreInvalidCause.OTHER_UNIT, "stored by a unit of another type or version"),
+)
+
+
+class Meanings(Mapping[Enum, str]):
+    """Meaning of each enumeration member. Members of different enumerations are different keys, though
+    equal as ints.
+    """
+
+    def __init__(self, meanings: Iterable[tuple[Enum, str]]) -> None:
+        self._texts = {(type(member), member.name): (member, text) for member, text in meanings}
+
+    def __getitem__(self, member: Enum) -> str:
+        try:
+            return self._texts[type(member), member.name][1]
+        except (KeyError, AttributeError):
+            raise KeyError(member) from None
+
+    def __iter__(self) -> Iterator[Enum]:
+        return (member for member, _ in self._texts.values())
+
+    def __len__(self) -> int:
+        return len(self._texts)
+
+
+MEANINGS = Meanings(_MEANINGS)
 """Meaning of enumeration members; the members without one are described where they are defined (events,
-functions, parameters).
-"""
+functions, parameters)."""

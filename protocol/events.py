@@ -9,6 +9,7 @@ from .enumerations import (
     EventSeverity,
     FaultCause,
     FrameDropCause,
+    MalformedReason,
     Mode,
     Reason,
     ResetCause,
@@ -111,9 +112,7 @@ EVENT_TABLE: tuple[EventDefinition, ...] = (
         _LOW,
         "bytes were received that are no packet of this interface (a wrong CRC has its own event)",
         (
-            Field(
-                "reason", UINT8, meaning="malformed reason; 100 + framing reason for errors of the framing"
-            ),
+            Field("reason", UINT8, meaning="why", choices=MalformedReason),
             Field("count", UINT16, meaning="counter concerned after it"),
             Field("length", UINT16, "byte", meaning="length of the frame; 65535 stands for 65535 or more"),
         ),

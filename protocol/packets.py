@@ -59,7 +59,7 @@ def crc16_ccitt(data: bytes) -> int:
 class CucTime:
     """CCSDS unsegmented time: ``coarse`` TAI seconds since 1958-01-01, ``fine`` in 2^-24 s.
 
-    4 + 3 bytes, P-field implicit (it would be 0x2F: agency epoch 1958, 4 coarse, 3 fine octets: 301.0-B-4
+    4 + 3 bytes, P-field implicit (it would be 0x1F: epoch 1958, 4 coarse, 3 fine octets: 301.0-B-4
     clause 3.2.2).
     """
 

@@ -228,14 +228,14 @@ def _accepted_header(raw: bytes, packet_type: int, apids: Container[int] | None)
 
     if size < least:
         return malformed(MalformedReason.TOO_SHORT, f"{size} bytes, the smallest packet has {least}")
+    if size > most:
+        return malformed(MalformedReason.TOO_LONG, f"{size} bytes, the largest packet has {most}")
     declared = PRIMARY_HEADER_BYTES + header.data_length + 1
     if size != declared:
         return malformed(MalformedReason.LENGTH_MISMATCH, f"{size} bytes, the header says {declared}")
     if crc16_ccitt(raw) != 0:
         received, expected = int.from_bytes(raw[-2:], "big"), crc16_ccitt(raw[:-2])
         return malformed(MalformedReason.BAD_CRC, f"received 0x{received:04X}, computed 0x{expected:04X}")
-    if size > most:
-        return malformed(MalformedReason.TOO_LONG, f"{size} bytes, the largest packet has {most}")
     if header.version != PACKET_VERSION:
         return malformed(MalformedReason.BAD_VERSION, f"packet version {header.version}, expected 0")
     if header.packet_type != packet_type:

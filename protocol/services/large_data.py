@@ -69,8 +69,8 @@ SERVICE = ServiceDefinition(
     "Large packet transfer",
     "6.13, 8.13",
     "The captured image: the image header, then the pixels, big-endian u16, row by row from the top; cut "
-    "into parts of one length, the last of which may be shorter. Part 1 goes as first part, the last one as last "
-    "part, also when only some parts are sent again; an image of a single part goes as last part.",
+    "into parts of one length, the last of which may be shorter. Part 1 goes as first part, the last one as "
+    "last part, also when only some parts are sent again; an image of a single part goes as last part.",
     (
         MessageDefinition(
             "TM",

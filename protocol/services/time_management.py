@@ -25,7 +25,7 @@ SERVICE = ServiceDefinition(
             "8.9.2.1",
             "Time reports are sent at this rate from the next frame start on.",
             (_RATE,),
-            tailoring="The rate counts frames of the sensor, not transfer frames of a virtual channel (6.9.3).",
+            tailoring="The rate counts frames of the sensor, not transfer frames of channel 0 (6.9.3).",
             verification="completion at once",
         ),
         MessageDefinition(
