@@ -3,8 +3,8 @@
 Each pixel of each frame owns one 64-bit word: SplitMix64's output function (Steele, Lea, Flood, "Fast
 splittable pseudorandom number generators", OOPSLA 2014; Stafford's mix 13 constants) of a key of (seed,
 stream, frame) and the pixel's number. The word gives one standard normal deviate by the inverse of the normal
-distribution: linear interpolation in a table of 4096 equal steps of probability (error under 2e-4 sigma), and
-the outer 1/128 on each side from the 63 bits left by Wichura's formula (Algorithm AS 241, PPND16, Applied
+distribution: linear interpolation in a table of 8192 equal steps of probability (error under 6e-4 sigma), and
+the outer 1/1024 on each side from the 63 bits left by Wichura's formula (Algorithm AS 241, PPND16, Applied
 Statistics 37 (1988)), so the tails are right to 9 sigma.
 
 A pixel's charge is Poisson; read-out noise is Gaussian. Where the variance of their sum is large, the sum is
@@ -44,8 +44,8 @@ STREAM_HOT = 4
 STREAM_HOT_AMOUNT = 5
 STREAM_FALSE_SPOTS = 6
 
-_STEPS = 2048  # table steps over the upper half of the distribution
-_TAIL_STEP = _STEPS - 32  # from here on the formula: the outer 1/64 of each half
+_STEPS = 4096  # table steps over the upper half of the distribution
+_TAIL_STEP = _STEPS - 8  # from here on the formula: 1 in 512 deviates, beyond 3.1 sigma
 _POISSON_EXACT_BELOW = np.float32(30.0)
 _ONE_DRAW_VARIANCE = np.float32(40.0)
 _ONE_DRAW_READ_NOISE = 0.7  # electrons; below it, whole electrons would show between the lines
@@ -122,12 +122,12 @@ def _normal(word: np.uint64, table: F32) -> np.float32:
     distribution."""
     top = np.int32(word >> _S32)
     place = top & np.int32(0x7FFFFFFF)
-    step = place >> np.int32(20)
+    step = place >> np.int32(19)
     if step >= _TAIL_STEP:
         left = np.float64(_LOW_63 - (word & _LOW_63)) + 0.5
         value = np.float32(_upper_tail(left * 2.0**-64))
     else:
-        fraction = np.float32(place & np.int32(0xFFFFF)) * np.float32(2.0**-20)
+        fraction = np.float32(place & np.int32(0x7FFFF)) * np.float32(2.0**-19)
         value = table[step] + (table[step + 1] - table[step]) * fraction
     return -value if top < 0 else value
 
@@ -146,12 +146,12 @@ def normals_of(words: U64, table: F32, deviates: F32) -> None:
     for i in range(words.shape[0]):
         top = np.int32(words[i] >> _S32)
         place = top & np.int32(0x7FFFFFFF)
-        step = place >> np.int32(20)
-        fraction = np.float32(place & np.int32(0xFFFFF)) * np.float32(2.0**-20)
+        step = place >> np.int32(19)
+        fraction = np.float32(place & np.int32(0x7FFFF)) * np.float32(2.0**-19)
         value = table[step] + (table[step + 1] - table[step]) * fraction
         deviates[i] = -value if top < 0 else value
     for i in range(words.shape[0]):
-        if (np.int32(words[i] >> _S32) & np.int32(0x7FFFFFFF)) >> np.int32(20) >= _TAIL_STEP:
+        if (np.int32(words[i] >> _S32) & np.int32(0x7FFFFFFF)) >> np.int32(19) >= _TAIL_STEP:
             deviates[i] = _normal(words[i], table)
 
 

@@ -27,7 +27,7 @@ I32 = NDArray[np.int32]
 SUPPORT_SIGMA = 4.5
 _PER_SIGMA = 32.0
 _LIMIT = 7.0
-_STRIP_ROWS = 8
+_STRIP_PIXELS = 8192
 
 
 def _phi_table() -> F64:
@@ -87,17 +87,30 @@ class Scene(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_stars(x0: int, y0: int, scene: Scene, share_x: F64, share_y: F64, signal: F32) -> None:
+def stars_near(rect: I32, box: I32) -> I32:
+    """Numbers of the stars whose light touches a rectangle (x0, y0, x1, y1, half-open), in their order."""
+    near = np.empty(box.shape[0], np.int32)
+    n = 0
+    for k in range(box.shape[0]):
+        if box[k, 0] < rect[2] and box[k, 2] > rect[0] and box[k, 1] < rect[3] and box[k, 3] > rect[1]:
+            near[n] = k
+            n += 1
+    return near[:n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_stars(x0: int, y0: int, scene: Scene, near: I32, share_x: F64, share_y: F64, signal: F32) -> None:
     """Adds the stars' electrons to signal[row - y0, column - x0], stars and sub-steps in their order.
 
-    share_x, share_y: scratch, as long as signal is wide and high.
+    near: the stars to look at, `stars_near` of a rectangle that holds this one. share_x, share_y: scratch,
+    as long as signal is wide and high.
     """
     xs, ys, light, box, table = scene.xs, scene.ys, scene.light, scene.box, scene.phi_table
     x1, y1 = x0 + signal.shape[1], y0 + signal.shape[0]
     steps = xs.shape[1]
     inverse_sigma = 1.0 / scene.sigma_px
     reach = SUPPORT_SIGMA * scene.sigma_px
-    for k in range(light.shape[0]):
+    for k in near:
         if box[k, 0] >= x1 or box[k, 2] <= x0 or box[k, 1] >= y1 or box[k, 3] <= y0:
             continue
         each = light[k] / steps
@@ -141,7 +154,7 @@ def expose(rect: I32, scene: Scene) -> F32:
     """Mean electrons of the pixels of a rectangle (x0, y0, x1, y1, half-open): float32[rows, columns]."""
     w, h = rect[2] - rect[0], rect[3] - rect[1]
     signal = np.zeros((h, w), np.float32)
-    add_stars(rect[0], rect[1], scene, np.empty(w), np.empty(h), signal)
+    add_stars(rect[0], rect[1], scene, stars_near(rect, scene.box), np.empty(w), np.empty(h), signal)
     add_background(rect[0], rect[1], scene, signal)
     return signal
 
@@ -158,14 +171,16 @@ def render(
 ) -> None:
     """What the detector puts out in each rectangle, row by row into out[offsets[i]:].
 
-    key: the frame's stream of noise; detector: `noise.detector_constants`. Works through strips of 8 rows, so
-    that the working set stays in the processor's cache.
+    key: the frame's stream of noise; detector: `noise.detector_constants`. Works through strips of a
+    few rows, so that the working set stays in the processor's cache.
     """
     widest = 1
+    highest = 1
     for i in range(rects.shape[0]):
         widest = max(widest, rects[i, 2] - rects[i, 0])
-    room = np.empty(_STRIP_ROWS * widest, np.float32)
-    share_x, share_y = np.empty(widest), np.empty(_STRIP_ROWS)
+        highest = max(highest, rects[i, 3] - rects[i, 1])
+    room = np.empty(max(_STRIP_PIXELS, widest), np.float32)
+    share_x, share_y = np.empty(widest), np.empty(highest)
     words = np.empty(widest, np.uint64)
     deviates = np.empty(widest, np.float32)
     image_width = scene.response.shape[1]
@@ -175,11 +190,13 @@ def render(
         if w <= 0:
             continue
         at = offsets[i]
-        for top in range(y0, y1, _STRIP_ROWS):
-            h = min(_STRIP_ROWS, y1 - top)
+        near = stars_near(rects[i], scene.box)
+        strip_rows = max(_STRIP_PIXELS // w, 1)
+        for top in range(y0, y1, strip_rows):
+            h = min(strip_rows, y1 - top)
             signal = room[: h * w].reshape((h, w))
             signal[:] = np.float32(0.0)
-            add_stars(x0, top, scene, share_x, share_y, signal)
+            add_stars(x0, top, scene, near, share_x, share_y, signal)
             add_background(x0, top, scene, signal)
             for r in range(h):
                 words_of(key, (top + r) * image_width + x0, words[:w])

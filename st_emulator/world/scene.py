@@ -22,7 +22,7 @@ from . import noise, point_spread, quaternion, time_scales
 from .bodies import Body, ObserverState, Stray
 from .camera import CameraModel
 from .false_spots import FalseSpots
-from .star_index import StarIndex, image_paths
+from .star_index import StarIndex, image_paths, turned
 from .stars import SPEED_OF_LIGHT_KM_S, StarField
 from .trajectory import Trajectory
 
@@ -30,9 +30,9 @@ Array = NDArray[np.float64]
 U16 = NDArray[np.uint16]
 
 MAX_STEP_PX = 0.5
-_MAX_STEPS = 4096
+_MAX_STEPS = 1024
 _PATH_KNOTS = 5
-# A star whose whole light in the exposure is under this fraction of the noise of one pixel is left out.
+# A star whose brightest pixel gets less than this fraction of the background's noise is left out.
 FAINTEST_SHARE_OF_NOISE = 0.05
 _NOWHERE = np.array([0.0, 0.0, 1.0, 2.0])  # occults nothing
 
@@ -156,7 +156,7 @@ class RenderedFrame:
         wrong = (x0 < 0) | (y0 < 0) | (x1 > self.width_px) | (y1 > self.height_px) | (x0 > x1) | (y0 > y1)
         if wrong.any():
             raise ValueError(
-                f"window {checked[int(np.argmax(wrong))].tolist()} (x0, y0, x1, y1) is not inside the image of "
+                f"window {checked[int(np.argmax(wrong))].tolist()} (x0, y0, x1, y1) is not in the image of "
                 f"{self.width_px} x {self.height_px} px"
             )
         return checked
@@ -292,9 +292,9 @@ class SceneRenderer:
         camera = self.camera
         start, middle, exposure = frame.exposure_start_ns, frame.exposure_mid_ns, frame.exposure_ns
         exposure_s = exposure * 1e-9
-        times, spread_rad = self._sub_steps(start, exposure)
-        attitudes = quaternion.attitude_matrix(self.trajectory.q_icrs_to_sensor(times))
-        boresight = quaternion.attitude_matrix(self.trajectory.q_icrs_to_sensor(middle))[2]
+        attitudes, at_middle, spread_rad = self._attitudes(start, exposure)
+        attitude = quaternion.attitude_matrix(at_middle)
+        boresight = attitude[2]
         observer = ObserverState.at(self.trajectory, middle, self.start_tai_ns)
         strays, occulting = [], _NOWHERE
         for body in self.bodies:
@@ -308,7 +308,7 @@ class SceneRenderer:
             (self._reach_px + 1.0) / camera.focal_px + spread_rad + 5e-4
         )  # 5e-4: aberration and parallax
         chosen = self._index.within(
-            boresight, self._half_diagonal_rad + margin_rad, self._limit_mag(exposure_s)
+            boresight, self._half_diagonal_rad + margin_rad, self._limit_mag(exposure_s, spread_rad)
         )
         spots = self.false_spots.in_frame(self.seed, frame.frame_index, camera.width_px, camera.height_px)
         spots_light = spots.copy()
@@ -327,7 +327,7 @@ class SceneRenderer:
             exposure_s,
             spots_light,
         )
-        columns, rows = _glow(strays, attitudes[len(times) // 2], camera, exposure_s)
+        columns, rows = _glow(strays, attitude, camera, exposure_s)
         return _Light(
             number,
             xs,
@@ -341,25 +341,34 @@ class SceneRenderer:
             rows,
         )
 
-    def _sub_steps(self, start_ns: int, exposure_ns: int) -> tuple[NDArray[np.int64], float]:
-        """Mid-times of the sub-steps, each moving no star by more than MAX_STEP_PX; and how far the boresight
-        strays."""
+    def _attitudes(self, start_ns: int, exposure_ns: int) -> tuple[Array, Array, float]:
+        """(attitudes [steps, 4] of the sub-steps' middles, the one at mid-exposure, the boresight's path in rad).
+
+        No star moves by more than MAX_STEP_PX in a sub-step.
+        """
         knots = start_ns + (np.arange(_PATH_KNOTS) * exposure_ns) // (_PATH_KNOTS - 1)
         q = self.trajectory.q_icrs_to_sensor(knots)
-        turns = quaternion.to_rotation_vector(quaternion.multiply(q[1:], quaternion.conjugate(q[:-1])))
-        across = float(np.sum(np.hypot(turns[:, 0], turns[:, 1])))
-        about = float(np.sum(np.abs(turns[:, 2])))
+        across, about = turned(q)
         corner = math.tan(min(self._half_diagonal_rad, 1.4))
         # the image of a turn, at its largest, in a corner of the field
         path_px = self.camera.focal_px * (across * (1.0 + corner * corner) + about * corner)
         steps = min(max(math.ceil(path_px / MAX_STEP_PX), 1), _MAX_STEPS)
-        return start_ns + ((2 * np.arange(steps) + 1) * exposure_ns) // (2 * steps), across
+        middle = _PATH_KNOTS // 2
+        if steps == 1:
+            return q[middle : middle + 1], q[middle], across
+        times = start_ns + ((2 * np.arange(steps) + 1) * exposure_ns) // (2 * steps)
+        return self.trajectory.q_icrs_to_sensor(times), q[middle], across
 
-    def _limit_mag(self, exposure_s: float) -> float:
+    def _limit_mag(self, exposure_s: float, path_rad: float) -> float:
+        """Stars from this magnitude on are left out, see FAINTEST_SHARE_OF_NOISE."""
         camera = self.camera
         background = (camera.stray_electrons_s + camera.dark_electrons_s) * exposure_s
         least = FAINTEST_SHARE_OF_NOISE * math.sqrt(background + camera.read_noise_electrons**2)
-        brightest = camera.electrons_per_s_mag0 * exposure_s
+        peak_share = math.erf(0.5 / (math.sqrt(2.0) * camera.psf_sigma_px)) ** 2
+        path_px = path_rad * camera.focal_px
+        # a pixel of a streak gets the light of about sqrt(2 pi) sigma of its length
+        peak_share *= min(1.0, 2.5 * camera.psf_sigma_px / path_px) if path_px > 0.0 else 1.0
+        brightest = camera.electrons_per_s_mag0 * exposure_s * peak_share
         if brightest <= 0.0:
             return -100.0
         return 2.5 * math.log10(brightest / least) if least > 0.0 else 100.0

@@ -102,6 +102,39 @@ def stars_within(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def matrix_of(q: F64, matrix: F64) -> None:
+    """As `quaternion.attitude_matrix`, for one quaternion."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    matrix[0, 0] = w * w + x * x - y * y - z * z
+    matrix[0, 1] = 2.0 * (x * y + w * z)
+    matrix[0, 2] = 2.0 * (x * z - w * y)
+    matrix[1, 0] = 2.0 * (x * y - w * z)
+    matrix[1, 1] = w * w - x * x + y * y - z * z
+    matrix[1, 2] = 2.0 * (y * z + w * x)
+    matrix[2, 0] = 2.0 * (x * z + w * y)
+    matrix[2, 1] = 2.0 * (y * z - w * x)
+    matrix[2, 2] = w * w - x * x - y * y + z * z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def turned(q: F64) -> tuple[float, float]:
+    """Along attitudes [n, 4]: the angles turned across and about the boresight, rad, summed over all steps."""
+    across = 0.0
+    about = 0.0
+    for k in range(q.shape[0] - 1):
+        a, b = q[k + 1], q[k]
+        # vector part of a (x) conjugate(b): half the rotation vector, but for its arcsine
+        x = -a[3] * b[0] + b[3] * a[0] + (a[1] * b[2] - a[2] * b[1])
+        y = -a[3] * b[1] + b[3] * a[1] + (a[2] * b[0] - a[0] * b[2])
+        z = -a[3] * b[2] + b[3] * a[2] + (a[0] * b[1] - a[1] * b[0])
+        sine = math.sqrt(x * x + y * y + z * z)
+        scale = 2.0 * math.asin(min(sine, 1.0)) / sine if sine > 1e-12 else 2.0
+        across += scale * math.sqrt(x * x + y * y)
+        about += scale * abs(z)
+    return across, about
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def image_paths(
     chosen: I32,
     vectors: F64,
@@ -120,8 +153,8 @@ def image_paths(
 
     vectors, parallax, electrons_s are indexed by chosen. observer_au: barycentric, for the parallax (zeros:
     none). beta: the observer's velocity over the speed of light, for the aberration (zeros: none). occulting:
-    [x, y, z, cos]: stars within acos(cos) of that unit vector are hidden (cos > 1: none). attitudes [steps,
-    3, 3]: A(q_icrs_to_sensor) at the middle of each sub-step. optics: [width, height, focal, cx, cy, k1, k2,
+    [x, y, z, cos]: stars within acos(cos) of that unit vector are hidden (cos > 1: none). attitudes
+    [steps, 4]: q_icrs_to_sensor at the middle of each sub-step. optics: [width, height, focal, cx, cy, k1, k2,
     p1, p2]. false_spots [m, 3]: x_px, y_px, electrons in the exposure; they stand still and come after the
     stars with the number -1.
 
@@ -147,6 +180,9 @@ def image_paths(
     )
     beta_squared = beta[0] * beta[0] + beta[1] * beta[1] + beta[2] * beta[2]
     inverse_gamma = math.sqrt(1.0 - beta_squared)
+    matrices = np.empty((steps, 3, 3))
+    for s in range(steps):
+        matrix_of(attitudes[s], matrices[s])
     n = 0
     for k in range(room):
         star = -1
@@ -173,7 +209,7 @@ def image_paths(
         high_x = high_y = -1e9
         for s in range(steps):
             if star >= 0:
-                a = attitudes[s]
+                a = matrices[s]
                 z = a[2, 0] * ux + a[2, 1] * uy + a[2, 2] * uz
                 if z < 0.05:
                     low_x = 1e9
