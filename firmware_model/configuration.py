@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+import numpy.typing as npt
 
 from .catalogue.pairs import PairCatalogue
 from .catalogue.star_catalogue import StarCatalogue
@@ -12,7 +15,14 @@ from .identification.pyramid import identify as identify_by_pyramid
 from .image.detection import DetectionParameters
 from .tracking import TrackingParameters
 
-__all__ = ["CentroidError", "FirmwareConfiguration", "StarTables"]
+__all__ = [
+    "CentroidError",
+    "DetectionParameters",
+    "FirmwareConfiguration",
+    "IdentificationParameters",
+    "StarTables",
+    "TrackingParameters",
+]
 
 
 @dataclass(frozen=True)
@@ -41,7 +51,7 @@ class CentroidError:
 class FirmwareConfiguration:
     """Everything that process_frame needs besides frame and tables; immutable.
 
-    detection.exposure_s is replaced by the exposure of each frame.
+    exposure_ns: the exposure to command. detection.exposure_s is replaced by the exposure of each frame.
     max_spots: so many of the brightest spots of a full frame are given to identification.
     blinded_background_dn: a background above this blinds the camera.
     aberration_correction: correct for stellar aberration once the on-board time is set.
@@ -54,6 +64,7 @@ class FirmwareConfiguration:
     detection: DetectionParameters
     identification: IdentificationParameters
     tracking: TrackingParameters
+    exposure_ns: int = 100_000_000
     centroid_error: CentroidError = CentroidError()
     identify: IdentificationAlgorithm = identify_by_pyramid
     max_spots: int = 60
@@ -69,3 +80,8 @@ class StarTables:
 
     catalogue: StarCatalogue
     pairs: PairCatalogue
+
+    def arrays(self) -> tuple[npt.NDArray[Any], ...]:
+        """All arrays in a fixed order: what a check of the memory is taken over."""
+        named = self.catalogue.to_arrays() | self.pairs.to_arrays()
+        return tuple(named[name] for name in sorted(named))

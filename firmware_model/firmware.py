@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +11,7 @@ import numpy.typing as npt
 from .aberration import SPEED_OF_LIGHT_KM_S, apparent_kernel, earth_velocity_km_s
 from .attitude import AttitudeSolution, angular_rate, q_method
 from .configuration import FirmwareConfiguration, StarTables
+from .frame_result import NO_RECTS, FirmwareState, FrameContext, FrameResult, IdentifiedStars
 from .identification.interface import Identification
 from .image.detection import DetectionParameters, detect
 from .image.frame import Frame
@@ -23,11 +23,12 @@ from .tracking import TrackingPlan, plan_windows, verify_by_pivot
 from .work import Work
 
 __all__ = [
-    "Acquisition",
+    "FirmwareConfiguration",
     "FirmwareState",
     "FrameContext",
     "FrameResult",
     "IdentifiedStars",
+    "StarTables",
     "process_frame",
 ]
 
@@ -36,131 +37,9 @@ IntArray = npt.NDArray[np.int32]
 
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 _NO_VELOCITY = np.zeros(3)
-_NO_RECTS = np.zeros((0, 4), np.int32)
 _ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
 # A merged window gives so many spots more than it has stars, so that a false one does not crowd out a star.
 _SPARE_SPOTS = 2
-
-
-class Acquisition(IntEnum):
-    """How a frame is to be searched; the numbers are those of the modes."""
-
-    LOST_IN_SPACE = int(Mode.LOST_IN_SPACE)
-    TRACKING = int(Mode.TRACKING)
-
-
-@dataclass(frozen=True)
-class FrameContext:
-    """What the firmware knows about a frame besides its pixels.
-
-    t_mid_ns: mid-exposure, ns since power-on; exposure_ns; tai_ns: on-board time of mid-exposure (TAI, ns
-        since 1958-01-01), None while the time is not set.
-    """
-
-    frame_index: int
-    acquisition: Acquisition
-    t_mid_ns: int
-    exposure_ns: int
-    tai_ns: int | None = None
-
-
-@dataclass(frozen=True)
-class FirmwareState:
-    """What is carried from frame to frame.
-
-    q_icrs_to_sensor, covariance_rad2, t_ns: the last valid attitude, or None; covariance None where it was
-        sent to the unit rather than measured. pivot: its brightest star, row of the catalogue, -1 without.
-    solved, solved_t_ns: the last attitude solved, also where it was not valid because the rate was too high.
-    missed: consecutive tracking frames without attitude.
-    """
-
-    q_icrs_to_sensor: FloatArray | None = None
-    covariance_rad2: FloatArray | None = None
-    t_ns: int = 0
-    pivot: int = -1
-    solved: FloatArray | None = None
-    solved_covariance_rad2: FloatArray | None = None
-    solved_t_ns: int = 0
-    missed: int = 0
-
-    @classmethod
-    def track_from(cls, q_icrs_to_sensor: FloatArray, t_ns: int) -> FirmwareState:
-        """State from which tracking starts at an attitude that was sent to the unit, valid at t_ns.
-
-        Raises ValueError unless the quaternion's length is 1 within 1e-3; it is then made canonical.
-        """
-        q = np.asarray(q_icrs_to_sensor, np.float64)
-        length = float(np.sqrt(q @ q)) if q.shape == (4,) else math.nan
-        if not abs(length - 1.0) < 1e-3:
-            raise ValueError(f"not a unit quaternion: {q_icrs_to_sensor}")
-        return cls(q_icrs_to_sensor=q / math.copysign(length, float(q[3])), t_ns=t_ns)
-
-
-@dataclass(frozen=True)
-class IdentifiedStars:
-    """Stars of a frame; all arrays have one entry per star."""
-
-    hip: IntArray
-    row: IntArray
-    spot: IntArray
-    x_px: FloatArray
-    y_px: FloatArray
-    residual_arcsec: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.hip)
-
-    @classmethod
-    def none(cls) -> IdentifiedStars:
-        """No stars."""
-        no_int, no_float = np.zeros(0, np.int32), np.zeros(0)
-        return cls(no_int, no_int, no_int, no_float, no_float, no_float)
-
-
-@dataclass(frozen=True)
-class FrameResult:
-    """What came of a frame, with its intermediates.
-
-    valid, reasons: reasons is NONE when valid. q_icrs_to_sensor: the frame's attitude at mid-exposure;
-        where not valid the last valid one (identity before the first). covariance_rad2: of the small-angle
-        error in sensor axes (zeros where not valid). rate_rad_s: of the sensor relative to ICRS, in sensor
-        axes, from this and the last valid attitude; None where unknown.
-    acquisition_after: how the next frame is to be searched; event: what happened to the mode, if anything.
-    spots: of the full frame, or of the windows. rects: int32[m, 4], detection windows. All else as named.
-    """
-
-    frame_index: int
-    valid: bool
-    reasons: Reason
-    q_icrs_to_sensor: FloatArray
-    covariance_rad2: FloatArray
-    rate_rad_s: FloatArray | None
-    acquisition_after: Acquisition
-    event: ModeEvent | None
-    spots: Spots
-    stars: IdentifiedStars
-    residual_rms_arcsec: float
-    window_half_width_px: int
-    work: Work
-    state: FirmwareState
-    rects: IntArray = field(default_factory=lambda: _NO_RECTS)
-    plan: TrackingPlan | None = None
-    identification: Identification | None = None
-
-    @property
-    def background_dn(self) -> float:
-        """Background of the image."""
-        return self.spots.background_dn
-
-    @property
-    def noise_dn(self) -> float:
-        """Noise of the background, 1 sigma."""
-        return self.spots.noise_dn
-
-    @property
-    def spots_detected(self) -> int:
-        """Number of spots."""
-        return len(self.spots)
 
 
 @dataclass(frozen=True)
@@ -171,7 +50,7 @@ class _Outcome:
     spots: Spots
     stars: IdentifiedStars = field(default_factory=IdentifiedStars.none)
     attitude: AttitudeSolution | None = None
-    rects: IntArray = field(default_factory=lambda: _NO_RECTS)
+    rects: IntArray = field(default_factory=lambda: NO_RECTS)
     half_width_px: int = 0
     plan: TrackingPlan | None = None
     identification: Identification | None = None
@@ -190,7 +69,7 @@ def process_frame(
     TRACKING without a valid attitude to start from is treated as LOST_IN_SPACE.
     """
     work = Work({"frames": 1})
-    tracking = context.acquisition is Acquisition.TRACKING and state.q_icrs_to_sensor is not None
+    tracking = context.acquisition is Mode.TRACKING and state.q_icrs_to_sensor is not None
     detection = configuration.detection
     exposure_s = context.exposure_ns * 1e-9
     if detection.exposure_s != exposure_s:
@@ -391,7 +270,7 @@ def _rate_too_high(
 ) -> bool:
     """Whether a rate is over the tracking rate by more than the margin and three sigma."""
     rate = math.sqrt(float(rate_rad_s @ rate_rad_s))
-    limit = math.radians(configuration.tracking.rate_deg_s) * (1.0 + configuration.tracking.rate_margin)
+    limit = configuration.tracking.rate_rad_s * (1.0 + configuration.tracking.rate_margin)
     if rate <= limit:
         return False
     axis = rate_rad_s / rate
@@ -435,7 +314,7 @@ def _conclude(
         )
     valid = reasons == Reason.NONE
     event: ModeEvent | None = None
-    after = Acquisition.TRACKING
+    after = Mode.TRACKING
     if valid and solution is not None:
         magnitude = outcome.spots.magnitude[outcome.stars.spot]
         state = replace(
@@ -446,17 +325,17 @@ def _conclude(
             pivot=int(outcome.stars.row[int(np.argmin(magnitude))]),
             missed=0,
         )
-        if context.acquisition is Acquisition.LOST_IN_SPACE:
+        if context.acquisition is Mode.LOST_IN_SPACE:
             event = ModeEvent.ATTITUDE_ACQUIRED
     elif tracking:
         state = replace(state, missed=state.missed + 1)
         if state.missed > configuration.tracking.max_missed:
-            after = Acquisition.LOST_IN_SPACE
+            after = Mode.LOST_IN_SPACE
             event = ModeEvent.TRACKING_LOST
             state = replace(state, missed=0)
     else:
-        after = Acquisition.LOST_IN_SPACE
-        if context.acquisition is Acquisition.TRACKING:
+        after = Mode.LOST_IN_SPACE
+        if context.acquisition is Mode.TRACKING:
             event = ModeEvent.TRACKING_LOST
     q = _IDENTITY if state.q_icrs_to_sensor is None else state.q_icrs_to_sensor
     covariance_now = solution.covariance_rad2 if valid and solution is not None else np.zeros((3, 3))

@@ -31,7 +31,7 @@ IntArray = npt.NDArray[np.int32]
 class TrackingParameters:
     """What tracking needs to know.
 
-    rate_deg_s: omega, the largest rate that the windows allow for, about any axis.
+    rate_rad_s: omega, the largest rate that the windows allow for, about any axis.
     tolerance_rad: largest error of the angle between the pivot and another star, and of a star against the
         attitude.
     min_stars: an attitude needs so many verified stars, the pivot among them.
@@ -44,7 +44,7 @@ class TrackingParameters:
         tracking must hold, to 1.5 omega, where it must not, so that noise decides neither.
     """
 
-    rate_deg_s: float
+    rate_rad_s: float
     tolerance_rad: float
     min_stars: int = 3
     max_missed: int = 2
@@ -54,8 +54,8 @@ class TrackingParameters:
     rate_margin: float = 0.25
 
     def __post_init__(self) -> None:
-        if not self.rate_deg_s > 0.0:
-            raise ValueError(f"rate_deg_s {self.rate_deg_s} is not positive")
+        if not self.rate_rad_s > 0.0:
+            raise ValueError(f"rate_rad_s {self.rate_rad_s} is not positive")
         if not 0.0 < self.tolerance_rad < 0.1:
             raise ValueError(f"tolerance_rad {self.tolerance_rad} is not between 0 and 0.1")
         if self.min_stars < 2 or self.max_windows < self.min_stars or self.max_missed < 0:
@@ -120,8 +120,10 @@ def window_half_width_px(
         during the exposure.
     """
     eps, _ = _optics(geometry)
-    motion = math.ceil(parameters.rate_deg_s * interval_s * eps)
-    return motion + math.ceil(parameters.star_radius_px + 0.5 * parameters.rate_deg_s * exposure_s * eps)
+    speed_px_s = math.degrees(parameters.rate_rad_s) * eps
+    return math.ceil(speed_px_s * interval_s) + math.ceil(
+        parameters.star_radius_px + 0.5 * speed_px_s * exposure_s
+    )
 
 
 def plan_windows(
