@@ -21,9 +21,7 @@ FloatArray = NDArray[np.float64]
 
 
 @numba.njit(cache=True, nogil=True)
-def _unit_vectors(
-    x_px: FloatArray, y_px: FloatArray, camera: tuple[float, ...], vectors: FloatArray
-) -> None:
+def _unit_vectors(x_px: FloatArray, y_px: FloatArray, camera: tuple[float, ...], vectors: FloatArray) -> None:
     focal, cx, cy, k1, k2, p1, p2, _ = camera
     distorted = k1 != 0.0 or k2 != 0.0 or p1 != 0.0 or p2 != 0.0
     for i in range(x_px.shape[0]):

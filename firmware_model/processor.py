@@ -1,7 +1,7 @@
 """Cycles from work: the one place where counts become time.
 
 A profile is a clock and a table of coefficients, core and memory cycles of one of each count, each with its
-evidence. The coefficients of ``cycle_costs/arm926ej_s_provisional.json`` are provisional: see its ``accuracy``.
+evidence. Those of ``cycle_costs/arm926ej_s_provisional.json`` are provisional: see its ``accuracy``.
 """
 
 from __future__ import annotations
@@ -49,21 +49,22 @@ class ProcessorProfile:
     """
 
     def __init__(self, clock_hz: int, coefficients: Mapping[str, Coefficient], name: str = "") -> None:
+        who = name or "processor"
         if clock_hz < 1:
-            raise ProcessorProfileError(f"{name or 'processor'}: clock_hz must be at least 1, not {clock_hz}")
+            raise ProcessorProfileError(f"{name}: clock_hz must be 1 or more, not {clock_hz}")
         missing = sorted(COUNTS.keys() - coefficients.keys())
         unknown = sorted(coefficients.keys() - COUNTS.keys())
         if missing or unknown:
             raise ProcessorProfileError(
-                f"{name or 'processor'}: counts without a coefficient: {', '.join(missing) or 'none'}; "
+                f"{who}: counts without a coefficient: {', '.join(missing) or 'none'}; "
                 f"coefficients of unknown counts: {', '.join(unknown) or 'none'}"
             )
         for count, c in coefficients.items():
             if not (0.0 <= c.core_cycles < 1e9 and 0.0 <= c.memory_cycles < 1e9):
-                raise ProcessorProfileError(f"{name or 'processor'}: {count}: cycles must be 0 to 1e9")
+                raise ProcessorProfileError(f"{who}: {count}: cycles must be 0 to 1e9")
             if c.evidence not in EVIDENCE:
                 raise ProcessorProfileError(
-                    f"{name or 'processor'}: {count}: evidence {c.evidence!r} is none of {', '.join(EVIDENCE)}"
+                    f"{who}: {count}: evidence {c.evidence!r} is none of {', '.join(EVIDENCE)}"
                 )
         self.name = name
         self.clock_hz = int(clock_hz)
@@ -136,7 +137,7 @@ def _from_document(document: Any, where: str) -> ProcessorProfile:
             )
         except (TypeError, KeyError, ValueError) as error:
             raise ProcessorProfileError(
-                f"{where}: counts.{name}: core_cycles, memory_cycles (numbers), evidence and source are needed"
+                f"{where}: counts.{name}: core_cycles, memory_cycles (numbers), evidence, source are needed"
             ) from error
     try:
         return ProcessorProfile(clock_hz, coefficients, str(document.get("name", where)))

@@ -52,7 +52,7 @@ _DEFINITIONS: Final = (
     ("centroid_background_pixels", "centroid", "pixel of the ring round a spot for its local background"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
     ("unit_vectors", "centroid", "pixel position turned to a unit vector (pinhole)"),
-    ("distortions_removed", "centroid", "pixel position freed from lens distortion (only with a distorted lens)"),
+    ("distortions_removed", "centroid", "pixel position freed from distortion (distorted lens only)"),
     # identification
     ("kvector_queries", "identification", "range query of the pair catalogue by its k-vector"),
     ("kvector_hits", "identification", "pair returned by a range query"),

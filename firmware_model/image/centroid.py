@@ -21,6 +21,7 @@ SPOT_FIELDS = 8
 SMALL, LARGE, SHARP, EDGE, FAINT, PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS = range(9)
 TALLIES = 9
 
+
 class SpotLimits(NamedTuple):
     """What makes a cluster a spot; the fields are those of ``DetectionParameters``."""
 
@@ -168,8 +169,7 @@ def measure_spots(
         if entry[PIXELS] < limits.min_pixels:
             outcome[cluster] = SMALL
         elif (
-            entry[PIXELS] > limits.max_pixels
-            or max(last_x - first_x, last_y - first_y) >= limits.max_extent
+            entry[PIXELS] > limits.max_pixels or max(last_x - first_x, last_y - first_y) >= limits.max_extent
         ):
             outcome[cluster] = LARGE
         elif first_x == 0 or first_y == 0 or last_x == columns - 1 or last_y == rows - 1:

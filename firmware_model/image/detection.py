@@ -52,14 +52,18 @@ class DetectionParameters:
     max_runs: int = 16384  # size of the run table
     max_spots: int = 1000  # spots handed on; the dimmest are dropped
     window_sigma_factor: float = 4.0  # threshold in detection windows, where a star is expected
+    # ASSUMED: in a window a catalogue star is expected, so one whose noise (or whose streak's lost rim)
+    # puts it a little beyond the limit is still wanted
+    window_magnitude_margin: float = 0.3
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
 
-    def spot_limits(self) -> centroid.SpotLimits:
+    def spot_limits(self, in_windows: bool = False) -> centroid.SpotLimits:
         """The part that the measurement of spots needs, in the types that its compiled code expects."""
+        margin = self.window_magnitude_margin if in_windows else 0.0
         return centroid.SpotLimits(
             int(self.centroid_half_window_px),
             int(self.min_pixels),
@@ -68,7 +72,7 @@ class DetectionParameters:
             float(self.max_peak_fraction),
             int(self.saturation_dn),
             float(self.zero_point_dn_per_s * self.exposure_s),
-            float(self.magnitude_limit),
+            float(self.magnitude_limit + margin),
         )
 
 

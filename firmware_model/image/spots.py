@@ -129,5 +129,3 @@ class WindowSpots:
 
     def __len__(self) -> int:
         return len(self.window)
-
-

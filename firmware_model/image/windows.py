@@ -207,13 +207,14 @@ def detect_in_windows(
 
     Background and noise are each window's own. The threshold, ``window_sigma_factor`` times the noise, is
     applied to 3 x 3 sums (noise 3 times a pixel's), so that a star drawn out to a streak is found while its
-    single pixels are near the noise; ``Spots.pixels`` counts pixels of the smoothed cluster. A spot whose
+    single pixels are near the noise; ``Spots.pixels`` counts pixels of the smoothed cluster. The magnitude
+    limit is relaxed by ``window_magnitude_margin``. A spot whose
     centroid window does not fit is rejected: status ``CLIPPED`` if a side of the window cut it.
     """
     rects = np.ascontiguousarray(rects, np.int32).reshape(-1, 4)
     windows = len(rects)
     kept = np.full(windows, keep, np.int32) if isinstance(keep, int) else np.ascontiguousarray(keep, np.int32)
-    limits = parameters.spot_limits()
+    limits = parameters.spot_limits(in_windows=True)
     expected = np.full(windows, np.nan)
     if expected_flux_dn is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
