@@ -75,6 +75,125 @@ def q_method(
     return AttitudeSolution(quaternion, residuals, covariance, float(chi_square), 2 * count - 3), work
 
 
+def robust_q_method(
+    measured: FloatArray, reference: FloatArray, sigma_rad: FloatArray, tolerance_rad: float, least: int
+) -> tuple[AttitudeSolution | None, npt.NDArray[np.intp], Work]:
+    """The q-method with stars that do not belong taken out, and those that fit badly given less weight.
+
+    First at equal weights the star that fits worst is dropped while its residual is over tolerance_rad:
+    with the weights of the sigmas, a bright star in the wrong place (two stars that make one spot) would
+    pull the attitude onto itself and make the others look wrong. Then, three times, each star is weighted
+    by the larger of its sigma and a third of its residual.
+    ASSUMED: three sigma, as the usual bound between noise and something else.
+
+    Returns (solution, indices of the stars kept, work); the solution's residuals are of the stars kept.
+    None when fewer than `least` fit (the indices are then those left) or the geometry is degenerate (all
+    indices).
+    """
+    count = len(measured)
+    kept = np.ones(count, np.bool_)
+    quaternion = np.empty(4)
+    residuals = np.empty(count)
+    covariance = np.empty((3, 3))
+    counts = np.zeros(3, np.int64)
+    solved, left, chi_square = _robust_kernel(
+        np.ascontiguousarray(measured, np.float64),
+        np.ascontiguousarray(reference, np.float64),
+        np.ascontiguousarray(sigma_rad, np.float64),
+        tolerance_rad,
+        least,
+        kept,
+        quaternion,
+        residuals,
+        covariance,
+        counts,
+    )
+    work = Work(
+        {
+            "qmethod_stars": int(counts[0]),
+            "qmethod_solves": int(counts[1]),
+            "residual_stars": int(counts[0]),
+            "covariance_stars": int(counts[2]),
+            "covariance_solves": 1 if counts[2] else 0,
+        }
+    )
+    indices = np.flatnonzero(kept)
+    if not solved:
+        return None, indices, work
+    solution = AttitudeSolution(
+        quaternion, residuals[:left].copy(), covariance, float(chi_square), 2 * int(left) - 3
+    )
+    return solution, indices, work
+
+
+@numba.njit(cache=True, nogil=True)
+def _robust_kernel(
+    measured: FloatArray,
+    reference: FloatArray,
+    sigma: FloatArray,
+    tolerance_rad: float,
+    least: int,
+    kept: npt.NDArray[np.bool_],
+    q: FloatArray,
+    residuals: FloatArray,
+    covariance: FloatArray,
+    counts: npt.NDArray[np.int64],
+) -> tuple[bool, int, float]:
+    """(solved, stars kept, chi^2); see robust_q_method. residuals[:kept] are those of the stars kept."""
+    stars = len(measured)
+    b = measured.copy()
+    r = reference.copy()
+    s = sigma.copy()
+    weights = np.ones(stars)
+    place = np.arange(stars)
+    left = stars
+    if left < max(least, 2):
+        return False, left, 0.0
+    counts[2] += left
+    if not covariance_kernel(b, weights, left, covariance):
+        return False, left, 0.0
+    while True:
+        quaternion_kernel(b, r, weights, left, q)
+        residuals_kernel(b, r, left, q, residuals)
+        counts[0] += left
+        counts[1] += 1
+        worst = 0
+        for i in range(1, left):
+            if residuals[i] > residuals[worst]:
+                worst = i
+        if residuals[worst] <= tolerance_rad:
+            break
+        kept[place[worst]] = False
+        left -= 1
+        if left < max(least, 2):
+            return False, left, 0.0
+        for i in range(worst, left):
+            b[i] = b[i + 1]
+            r[i] = r[i + 1]
+            s[i] = s[i + 1]
+            place[i] = place[i + 1]
+    for _ in range(3):
+        for i in range(left):
+            spread = max(s[i], residuals[i] / 3.0)
+            weights[i] = 1.0 / (spread * spread)
+        quaternion_kernel(b, r, weights, left, q)
+        residuals_kernel(b, r, left, q, residuals)
+        counts[0] += left
+        counts[1] += 1
+    chi_square = 0.0
+    for i in range(left):
+        chi_square += weights[i] * residuals[i] * residuals[i]
+    counts[2] += left
+    if not covariance_kernel(b, weights, left, covariance):
+        return False, left, 0.0
+    freedom = 2 * left - 3
+    if chi_square > freedom:
+        for m in range(3):
+            for n in range(3):
+                covariance[m, n] *= chi_square / freedom
+    return True, left, chi_square
+
+
 @numba.njit(cache=True, nogil=True)
 def largest_eigenvector_kernel(k: FloatArray, vector: FloatArray) -> int:
     """Unit eigenvector of the largest eigenvalue of symmetric k[4, 4] (destroyed), by cyclic Jacobi.

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .aberration import SPEED_OF_LIGHT_KM_S, apparent_kernel, earth_velocity_km_s
-from .attitude import AttitudeSolution, angular_rate, q_method
+from .attitude import AttitudeSolution, angular_rate, robust_q_method
 from .configuration import FirmwareConfiguration, StarTables
 from .frame_result import NO_RECTS, FirmwareState, FrameContext, FrameResult, IdentifiedStars
 from .identification.interface import Identification
@@ -219,25 +219,17 @@ def _solve(
     min_stars: int,
     work: Work,
 ) -> _Outcome:
-    """Attitude of the identified stars; the worst one is dropped while its residual is over the tolerance.
+    """Attitude of the identified stars, without those over the tolerance.
 
     ASSUMED: at most a third of the stars may be dropped; more, and the rest is not to be trusted either.
     """
-    sigma = _sigma_rad(spots, spot, configuration)
     least = max(min_stars, math.ceil(2.0 * len(rows) / 3.0))
-    while True:
-        solution, solution_work = q_method(measured, reference, sigma)
-        work += solution_work
-        if solution is None:
-            return _Outcome(Reason.TOO_FEW_STARS, spots)
-        worst = int(np.argmax(solution.residuals_rad))
-        if solution.residuals_rad[worst] <= tolerance_rad:
-            break
-        if len(rows) <= least:
-            return _Outcome(Reason.RESIDUAL_TOO_LARGE, spots)
-        kept = np.arange(len(rows)) != worst
-        measured, reference, rows, spot = measured[kept], reference[kept], rows[kept], spot[kept]
-        sigma = sigma[kept]
+    sigma = _sigma_rad(spots, spot, configuration)
+    solution, kept, solution_work = robust_q_method(measured, reference, sigma, tolerance_rad, least)
+    work += solution_work
+    if solution is None:
+        return _Outcome(Reason.TOO_FEW_STARS if len(kept) >= least else Reason.RESIDUAL_TOO_LARGE, spots)
+    rows, spot = rows[kept], spot[kept]
     stars = IdentifiedStars(
         tables.catalogue.hip[rows],
         rows,
