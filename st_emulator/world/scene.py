@@ -25,6 +25,7 @@ from .false_spots import FalseSpots
 from .star_index import StarIndex, image_paths, turned
 from .stars import SPEED_OF_LIGHT_KM_S, StarField
 from .trajectory import Trajectory
+from .windows import checked_windows, cut_windows, window_offsets
 
 Array = NDArray[np.float64]
 U16 = NDArray[np.uint16]
@@ -143,23 +144,15 @@ class RenderedFrame:
 
         Window i is flat[offsets[i]:offsets[i + 1]], row by row. Raises ValueError for one outside the image.
         """
-        return self._renderer._pixels(self, self._checked(rects))
+        if self._full is not None:
+            return cut_windows(self._full, rects)
+        return self._renderer._pixels(self, checked_windows(rects, self.width_px, self.height_px))
 
     def mean_electrons(self, rect: Sequence[int] | None = None) -> NDArray[np.float32]:
         """Expected charge before noise and saturation, of a rectangle or of all: float32[rows, columns]."""
         chosen = (0, 0, self.width_px, self.height_px) if rect is None else rect
-        return np.asarray(point_spread.expose(self._checked([chosen])[0], self._renderer._scene(self)))
-
-    def _checked(self, rects: ArrayLike) -> NDArray[np.int32]:
-        checked = np.ascontiguousarray(np.asarray(rects, dtype=np.int32).reshape(-1, 4))
-        x0, y0, x1, y1 = checked.T
-        wrong = (x0 < 0) | (y0 < 0) | (x1 > self.width_px) | (y1 > self.height_px) | (x0 > x1) | (y0 > y1)
-        if wrong.any():
-            raise ValueError(
-                f"window {checked[int(np.argmax(wrong))].tolist()} (x0, y0, x1, y1) is not in the image of "
-                f"{self.width_px} x {self.height_px} px"
-            )
-        return checked
+        checked = checked_windows([chosen], self.width_px, self.height_px)[0]
+        return np.asarray(point_spread.expose(checked, self._renderer._scene(self)))
 
 
 class SceneRenderer:
@@ -342,7 +335,7 @@ class SceneRenderer:
         )
 
     def _attitudes(self, start_ns: int, exposure_ns: int) -> tuple[Array, Array, float]:
-        """(attitudes [steps, 4] of the sub-steps' middles, the one at mid-exposure, the boresight's path in rad).
+        """(attitudes [steps, 4] of the sub-steps' middles, that at mid-exposure, the boresight's path, rad).
 
         No star moves by more than MAX_STEP_PX in a sub-step.
         """
@@ -391,8 +384,7 @@ class SceneRenderer:
         )
 
     def _pixels(self, frame: RenderedFrame, rects: NDArray[np.int32]) -> tuple[U16, NDArray[np.int64]]:
-        sizes = (rects[:, 2] - rects[:, 0]).astype(np.int64) * (rects[:, 3] - rects[:, 1])
-        offsets = np.concatenate((np.zeros(1, np.int64), np.cumsum(sizes)))
+        offsets = window_offsets(rects)
         out = np.empty(int(offsets[-1]), dtype=np.uint16)
         key = noise.stream_key(self.seed, noise.STREAM_FRAME, frame.frame_index)
         point_spread.render(rects, self._scene(frame), key, noise.NORMAL_TABLE, self._detector, offsets, out)

@@ -118,7 +118,7 @@ def matrix_of(q: F64, matrix: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def turned(q: F64) -> tuple[float, float]:
-    """Along attitudes [n, 4]: the angles turned across and about the boresight, rad, summed over all steps."""
+    """Along attitudes [n, 4]: angles turned across and about the boresight, rad, summed over the steps."""
     across = 0.0
     about = 0.0
     for k in range(q.shape[0] - 1):
@@ -154,9 +154,9 @@ def image_paths(
     vectors, parallax, electrons_s are indexed by chosen. observer_au: barycentric, for the parallax (zeros:
     none). beta: the observer's velocity over the speed of light, for the aberration (zeros: none). occulting:
     [x, y, z, cos]: stars within acos(cos) of that unit vector are hidden (cos > 1: none). attitudes
-    [steps, 4]: q_icrs_to_sensor at the middle of each sub-step. optics: [width, height, focal, cx, cy, k1, k2,
-    p1, p2]. false_spots [m, 3]: x_px, y_px, electrons in the exposure; they stand still and come after the
-    stars with the number -1.
+    [steps, 4]: q_icrs_to_sensor at the middle of each sub-step. optics: [width, height, focal, cx, cy, k1,
+    k2, p1, p2]. false_spots [m, 3]: x_px, y_px, electrons in the exposure; they stand still and come after
+    the stars with the number -1.
 
     Returns (number int32[n], x_px float64[n, steps], y_px, electrons float64[n], box int32[n, 4]): box is x0,
     y0, x1, y1, half-open, of the pixels touched, clipped to the image.
