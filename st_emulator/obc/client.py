@@ -18,7 +18,7 @@ from st_emulator.protocol.enumerations import (
     ParameterId,
     ResetKind,
 )
-from st_emulator.protocol.packets import CucTime, crc16_ccitt
+from st_emulator.protocol.packets import CucTime, Telemetry, crc16_ccitt
 from st_emulator.protocol.parameters import PARAMETER_TABLE
 from st_emulator.protocol.services.memory import MAX_DUMP_BYTES, MAX_LOAD_BYTES
 
@@ -43,6 +43,8 @@ class Obc(Exchange):
     TelecommandTimeout, naming what never came, when it does not answer. See `Exchange` for telecommands and
     telemetry by name.
     """
+
+    _transaction_id = 0
 
     def ping(self, timeout_s: float = 1.0, *, ack: int | None = None) -> float:
         """TC[17,1] to TM[17,2]: seconds from the sending to the answer's reception."""
@@ -238,9 +240,7 @@ class Obc(Exchange):
             received, _ = self.request(
                 "memory_dump",
                 "memory_dump_report",
-                lambda telemetry, start=start: (
-                    telemetry.fields["memory_id"] == number and telemetry.fields["start_address"] == start
-                ),
+                _area(number, start),
                 timeout_s=timeout_s,
                 memory_id=number,
                 start_address=start,
@@ -249,7 +249,7 @@ class Obc(Exchange):
             fields = received.telemetry.fields
             if len(fields["data"]) != size or crc16_ccitt(fields["data"]) != fields["checksum"]:
                 raise DownloadError(
-                    f"memory {name_of(MemoryId, number)} at {start}: got {len(fields['data'])} of {size} bytes, "
+                    f"memory {name_of(MemoryId, number)} at {start}: {len(fields['data'])} of {size} bytes, "
                     f"checksum 0x{crc16_ccitt(fields['data']):04X}, reported 0x{fields['checksum']:04X}"
                 )
             contents += fields["data"]
@@ -263,9 +263,7 @@ class Obc(Exchange):
         received, _ = self.request(
             "memory_check",
             "memory_check_report",
-            lambda telemetry: (
-                telemetry.fields["memory_id"] == number and telemetry.fields["start_address"] == address
-            ),
+            _area(number, address),
             timeout_s=timeout_s,
             memory_id=number,
             start_address=address,
@@ -338,8 +336,16 @@ class Obc(Exchange):
         if verification.state is State.FAILED:
             raise VerificationError(verification)
 
-    _transaction_id = 0
-
 
 def _numbers(choices: Any, names: Iterable[str | int]) -> list[int]:
     return [member(choices, name) if isinstance(name, str) else int(name) for name in names]
+
+
+def _area(memory_id: int, start_address: int) -> Callable[[Telemetry], bool]:
+    """Whether a report is about the memory area that was asked for."""
+
+    def about(telemetry: Telemetry) -> bool:
+        fields = telemetry.fields
+        return bool(fields["memory_id"] == memory_id and fields["start_address"] == start_address)
+
+    return about

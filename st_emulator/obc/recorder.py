@@ -104,16 +104,15 @@ class Recorder:
             if event.verification.finished:
                 self._finished(event.verification, event.time_ns)
         elif isinstance(event, SequenceGapDetected):
-            gap = {"kind": "sequence_gap", "apid": event.apid, "expected": event.expected}
-            gap |= {"received": event.received, "missing": event.missing}
-            self._anomaly(gap, event.time_ns)
+            gap = {"apid": event.apid, "expected": event.expected, "received": event.received}
+            self._anomaly("sequence_gap", gap | {"missing": event.missing}, event.time_ns)
         elif isinstance(event, MalformedReceived):
             malformed = event.malformed
-            what = {"kind": "malformed", "reason": malformed.reason.name, "detail": malformed.detail}
-            self._anomaly(what | {"raw": malformed.raw.hex()}, event.time_ns)
+            what = {"reason": malformed.reason.name, "detail": malformed.detail, "raw": malformed.raw.hex()}
+            self._anomaly("malformed", what, event.time_ns)
         elif isinstance(event, FrameLost):
-            what = {"kind": "frame_lost", "reason": event.reason.name, "length": event.length}
-            self._anomaly(what, event.time_ns)
+            lost = {"reason": event.reason.name, "length": event.length}
+            self._anomaly("frame_lost", lost, event.time_ns)
 
     def close(self) -> None:
         """Close every file."""
@@ -139,8 +138,8 @@ class Recorder:
     def _seconds(self, time_ns: int) -> float:
         return round((time_ns - self._start_ns) / _NS_PER_S, 9)
 
-    def _anomaly(self, what: Mapping[str, Any], time_ns: int) -> None:
-        _write_line(self._anomalies, {"received_s": self._seconds(time_ns)} | dict(what))
+    def _anomaly(self, kind: str, what: Mapping[str, Any], time_ns: int) -> None:
+        _write_line(self._anomalies, {"received_s": self._seconds(time_ns), "kind": kind} | dict(what))
 
     def _finished(self, verification: Verification, time_ns: int) -> None:
         request = verification.request_id

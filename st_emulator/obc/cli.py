@@ -1,0 +1,142 @@
+"""`st-emulator obc`: the OBC simulator as shell, script runner and live view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from st_emulator.errors import ConfigurationError
+from st_emulator.links import LinkError
+from st_emulator.report import write_json
+
+from .client import Obc
+from .commands import CommandError
+from .errors import RecordingError
+from .session import Session, parse_lines
+from .shell import run_shell
+from .watching import watch
+
+INTERRUPTED_STATUS = 130
+Connect = Callable[..., Obc]
+
+obc_app = typer.Typer(invoke_without_command=True, subcommand_metavar="", pretty_exceptions_enable=False)
+
+
+@obc_app.callback()
+def obc(
+    context: typer.Context,
+    link: Annotated[
+        str,
+        typer.Option(
+            "--link",
+            metavar="LINK",
+            help="`pty:PATH`, `serial:DEV[@BAUD]` or a bare path; `pty` finds the emulator that runs.",
+        ),
+    ] = "pty",
+    apid: Annotated[
+        int | None,
+        typer.Option(
+            "--apid", min=0, max=2046, help="The unit's APID. Default: that of the first telemetry."
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            "--unit", "-u", metavar="UNIT", help="Take APID and baud rate from a unit or unit file."
+        ),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record", metavar="DIR", help="Record telemetry and telecommands (JSON lines and CSV)."
+        ),
+    ] = None,
+    script: Annotated[
+        Path | None,
+        typer.Option(
+            "--script", metavar="FILE", help="Run commands from a file, one a line, # for comments."
+        ),
+    ] = None,
+    command: Annotated[
+        list[str] | None,
+        typer.Option("--command", "-c", metavar="TEXT", help="Run a command; may be given several times."),
+    ] = None,
+    watching: Annotated[bool, typer.Option("--watch", help="Live view until Ctrl-C.")] = False,
+    json_path: Annotated[
+        str | None,
+        typer.Option(
+            "--json", metavar="FILE", help="Write figures and checks as JSON (- for standard output)."
+        ),
+    ] = None,
+) -> None:
+    """Talk to a star tracker as its on-board computer: a shell, or a script whose exit status says whether
+    it held.
+
+    Exit status: 0 all held, 1 a command failed or an expectation did not hold, 2 wrong arguments.
+    """
+    connect: Connect = context.obj if callable(context.obj) else Obc.connect
+    output = Console(stderr=json_path == "-", soft_wrap=True, highlight=False, markup=False)
+    errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+    try:
+        held = _run(connect, output, errors, link, apid, unit, record, script, command, watching, json_path)
+    except (ConfigurationError, LinkError, RecordingError, CommandError) as error:
+        errors.print(f"st-emulator obc: {error}")
+        raise typer.Exit(2) from None
+    except KeyboardInterrupt:
+        errors.print("interrupted")
+        raise typer.Exit(INTERRUPTED_STATUS) from None
+    raise typer.Exit(0 if held else 1)
+
+
+def _run(
+    connect: Connect,
+    output: Console,
+    errors: Console,
+    link: str,
+    apid: int | None,
+    unit: str | None,
+    record: Path | None,
+    script: Path | None,
+    command: list[str] | None,
+    watching: bool,
+    json_path: str | None,
+) -> bool:
+    if sum((script is not None, bool(command), watching)) > 1:
+        raise ConfigurationError("--script, --command and --watch exclude each other")
+    lines = []
+    if script is not None:
+        lines = parse_lines(_script_lines(script), str(script))
+    elif command:
+        lines = [line for text in command for line in parse_lines([text], f"--command {text!r}")]
+    options: dict[str, Any] = {} if unit is None else _unit_options(unit)
+    if apid is not None:
+        options["apid"] = apid
+    with connect(link, record=record, **options) as obc:
+        session = Session(obc, output.print, lambda obc, duration_s: watch(obc, duration_s, output))
+        if watching:
+            held = session.run_all(parse_lines(["watch"], "--watch"), errors.print)
+        elif lines or script is not None:
+            held = session.run_all(lines, errors.print)
+        else:
+            held = run_shell(session, errors.print)
+        write_json(json_path, session.figures(), session.checks)
+    return held
+
+
+def _unit_options(unit: str) -> dict[str, Any]:
+    from st_emulator.profile import load_unit
+
+    profile = load_unit(unit)
+    return {"apid": profile.apid, "baud": profile.wire.baud, "source_id": profile.wire.source_id}
+
+
+def _script_lines(script: Path) -> list[str]:
+    try:
+        return script.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no UTF-8 text"
+        raise ConfigurationError(f"--script {script}: cannot be read: {reason}") from error
