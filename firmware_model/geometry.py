@@ -100,15 +100,21 @@ def _monotonic_r2(k1: float, k2: float) -> float:
 
     Beyond it the polynomial folds back, and a star far outside would seem to be in the image.
     """
-    # d/dr of r + k1 r^3 + k2 r^5 = 1 + 3 k1 s + 5 k2 s^2 with s = r^2
-    roots = np.roots([5.0 * k2, 3.0 * k1, 1.0]) if k2 or k1 else np.zeros(0)
-    positive = [float(r.real) for r in roots if abs(r.imag) < 1e-12 and r.real > 0.0]
-    return min(positive, default=math.inf)
+    # d/dr of r + k1 r^3 + k2 r^5 = 1 + 3 k1 s + 5 k2 s^2 with s = r^2; 1 / s is a root of t^2 + 3 k1 t + 5 k2
+    discriminant = 9.0 * k1 * k1 - 20.0 * k2
+    if discriminant < 0.0:
+        return math.inf
+    largest = 0.5 * (-3.0 * k1 + math.sqrt(discriminant))
+    return 1.0 / largest if largest > 1e-300 else math.inf
 
 
 @dataclass(frozen=True)
 class CameraGeometry:
-    """Pinhole with distortion. ``cx_px, cy_px`` left out (nan): the middle of the image."""
+    """Pinhole with distortion. ``cx_px, cy_px`` left out (nan): the middle of the image.
+
+    Raises ValueError for an impossible size or focal length, and where the distortion folds back inside the
+    image (no direction belongs to some of its pixels).
+    """
 
     width_px: int
     height_px: int
@@ -132,6 +138,9 @@ class CameraGeometry:
         object.__setattr__(self, "cy_px", cy)
         camera = (float(self.focal_px), cx, cy, *(float(k) for k in (self.k1, self.k2, self.p1, self.p2)))
         object.__setattr__(self, "_camera", (*camera, _monotonic_r2(self.k1, self.k2)))
+        # nan where a corner's undistorted place lies beyond the fold
+        if not self.project(self.corner_vectors())[2].all():
+            raise ValueError("the distortion folds back inside the image: k1, k2 do not fit the focal length")
         object.__setattr__(self, "_edge_sag_px", self._find_edge_sag())
         object.__setattr__(self, "_normals", self.field_normals(self._edge_sag_px))
 
