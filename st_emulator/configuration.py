@@ -255,13 +255,14 @@ def firmware_configuration(profile: UnitProfile, parameters: Mapping[str, float 
             field_normals=geometry.field_normals(),
         ),
         tracking=TrackingParameters(
-            rate_deg_s=float(parameters["tracking_rate_deg_s"]),
+            rate_rad_s=float(np.radians(parameters["tracking_rate_deg_s"])),
             star_radius_px=profile.tracking.star_radius_px,
             tolerance_rad=float(parameters["tracking_tolerance_arcsec"]) * ARCSEC,
             min_stars=int(parameters["tracking_min_stars"]),
             max_missed=int(parameters["tracking_max_missed"]),
             max_windows=profile.tracking.max_windows,
         ),
+        exposure_ns=exposure_us * 1000,
         centroid_error=CentroidError(
             psf_sigma_px=profile.optics.psf_sigma_px,
             electrons_per_dn=detector.electrons_per_dn,

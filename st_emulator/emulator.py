@@ -59,6 +59,8 @@ class Emulator:
         transmit: called with (bytes, virtual time) as they leave the unit.
         journal, truth: open text files, or None.
         submit: how frames are computed (see :mod:`st_emulator.onboard.imaging`).
+        on_completed: called with each processed frame, its pixels and intermediates (pictures are made of it).
+        baud: line rate; the unit's own when None.
         pace_reception: False when the link's bytes already took their time on a wire.
     """
 
@@ -76,6 +78,7 @@ class Emulator:
         submit: Submit = Lazy,
         pace_reception: bool = True,
         baud: int | None = None,
+        on_completed: Callable[[FrameRecord], None] = lambda record: None,
     ) -> None:
         self.profile = profile
         self.scenario = scenario or Scenario()
@@ -104,6 +107,7 @@ class Emulator:
             self._store,
             submit=submit,
             on_frame=self._frame_exposed,
+            on_completed=on_completed,
         )
         self._truth = truth
         self._journal: JournalWriter | None = None
@@ -181,7 +185,11 @@ class Emulator:
     def _schedule_telecommands(self) -> None:
         for number, telecommand in enumerate(self.scenario.telecommands):
             data = self._telecommand_bytes(number, telecommand)
-            self.clock.at(round(telecommand.at_s * NS_PER_S), lambda data=data: self.receive(data))  # type: ignore[misc]
+            self.clock.at(round(telecommand.at_s * NS_PER_S), lambda data=data: self._inject(data))  # type: ignore[misc]
+
+    def _inject(self, data: bytes) -> None:
+        # Behind whatever else is due at this time, as bytes from outside are; so a replay of the journal is the same run.
+        self.clock.at(self.clock.now_ns, lambda: self.receive(data))
 
     def _telecommand_bytes(self, number: int, telecommand: ScenarioTelecommand) -> bytes:
         if telecommand.raw_hex is not None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from .clock import NS_PER_MS, NS_PER_US, ScheduledEvent, VirtualClock
 from .firmware_model.configuration import StarTables
-from .firmware_model.firmware import Acquisition, FirmwareState
+from .firmware_model.firmware import FirmwareState
 from .firmware_model.modes import Mode, ModeEvent, next_mode
 from .firmware_model.reasons import Reason
 from .line import SerialLine
@@ -65,6 +65,7 @@ class StarTracker:
         store: the non-volatile memory.
         submit: how a frame's computation is started (at once beside the loop, or when needed).
         on_frame: called when a frame is exposed, with its record (the truth is written there).
+        on_completed: called when a frame's result counts.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class StarTracker:
         *,
         submit: Submit = Lazy,
         on_frame: Callable[[FrameRecord], None] = lambda record: None,
+        on_completed: Callable[[FrameRecord], None] = lambda record: None,
     ) -> None:
         self.profile = profile
         self.clock = clock
@@ -111,6 +113,7 @@ class StarTracker:
         self.reset_cause = ResetCause.POWER_ON
         self._last_attitude = LastAttitude()
         self._on_frame = on_frame
+        self._on_completed = on_completed
         self._powered_ns = 0
         self._blinded = False
         self._life = 0  # counts starts; an action scheduled in an earlier life is void
@@ -202,8 +205,8 @@ class StarTracker:
 
     def track_from(self, quaternion: tuple[float, float, float, float]) -> None:
         """Track from a given attitude, without lost in space."""
-        state = FirmwareState.track_from(np.array(quaternion), self.clock.now_ns)
-        self.imaging.acquire(state, Acquisition.TRACKING)
+        state = FirmwareState.from_attitude(np.array(quaternion), self.clock.now_ns)
+        self.imaging.acquire(state, Mode.TRACKING)
         self._follow(ModeEvent.COMMAND_TRACK_FROM)
 
     def go_standby(self) -> None:
@@ -336,7 +339,7 @@ class StarTracker:
         counters = self.frame_counters
         counters.frames_processed += 1
         counters.frames_valid += result.valid
-        counters.frames_tracking += result.valid and record.acquisition is Acquisition.TRACKING
+        counters.frames_tracking += result.valid and record.acquisition is Mode.TRACKING
         counters.frames_late += record.late_ns > 0
         counters.worst_cycles = max(counters.worst_cycles, record.cycles.total)
         self.last_frame = record
@@ -353,6 +356,7 @@ class StarTracker:
                 late_us=microseconds(record.late_ns),
             )
         self._follow_frame(record)
+        self._on_completed(record)
 
     def _follow_frame(self, record: FrameRecord) -> None:
         result = record.result
@@ -451,7 +455,6 @@ class StarTracker:
 def digest_of(tables: StarTables) -> bytes:
     """Digest of the on-board star tables, for the self-test."""
     digest = hashlib.sha256()
-    arrays = tables.catalogue.to_arrays() | tables.pairs.to_arrays()
-    for name in sorted(arrays):
-        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
+    for array in tables.arrays():
+        digest.update(np.ascontiguousarray(array).tobytes())
     return digest.digest()

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ..firmware_model.firmware import Acquisition
+from ..firmware_model.modes import Mode
 from ..profile import UnitProfile
 from ..report import check
 from ..world.trajectory import InertialTrajectory
@@ -40,7 +40,7 @@ def look(profile: UnitProfile, seed: int, pointings: int, index: int) -> Outcome
     for number in range(FRAMES):
         acquisition = chain.acquisition
         _, result = chain.step(index * FRAMES + number)
-        if result.valid and acquisition is Acquisition.TRACKING:
+        if result.valid and acquisition is Mode.TRACKING:
             errors.append(error_arcsec(result.q_icrs_to_sensor, q_true))
     if not errors:
         return Outcome(stars, 0, np.nan, np.nan)

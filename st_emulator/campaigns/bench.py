@@ -17,7 +17,8 @@ from ..configuration import (
     star_tables,
 )
 from ..firmware_model.configuration import FirmwareConfiguration
-from ..firmware_model.firmware import Acquisition, FirmwareState, FrameContext, FrameResult, process_frame
+from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
+from ..firmware_model.modes import Mode
 from ..onboard.parameters import default_parameters
 from ..profile import UnitProfile
 from ..scenario import Scenario, Sky
@@ -71,8 +72,7 @@ class Chain:
     scene: SceneRenderer
     state: FirmwareState
     configuration: FirmwareConfiguration
-    exposure_ns: int
-    acquisition: Acquisition = Acquisition.LOST_IN_SPACE
+    acquisition: Mode = Mode.LOST_IN_SPACE
 
     @classmethod
     def of(cls, profile: UnitProfile, seed: int, sky: Sky = STARS_ONLY) -> Chain:
@@ -82,9 +82,8 @@ class Chain:
         return cls(
             profile,
             scene,
-            FirmwareState(),
+            FirmwareState.initial(),
             firmware_configuration(profile, parameters),
-            int(parameters["exposure_us"]) * 1000,
         )
 
     def look(self, trajectory: Trajectory) -> None:
@@ -93,12 +92,12 @@ class Chain:
         self.restart()
 
     def restart(self) -> None:
-        self.state = FirmwareState()
-        self.acquisition = Acquisition.LOST_IN_SPACE
+        self.state = FirmwareState.initial()
+        self.acquisition = Mode.LOST_IN_SPACE
 
     def expose(self, index: int) -> RenderedFrame:
         """Frame ``index`` of the grid."""
-        return self.scene.frame(index, index * self.profile.frame_period_ns, self.exposure_ns)
+        return self.scene.frame(index, index * self.profile.frame_period_ns, self.configuration.exposure_ns)
 
     def step(self, index: int) -> tuple[RenderedFrame, FrameResult]:
         """Expose and process frame ``index``; the state goes on."""

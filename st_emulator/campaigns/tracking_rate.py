@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from ..firmware_model.firmware import Acquisition
+from ..firmware_model.modes import Mode
 from ..firmware_model.reasons import Reason
 from ..profile import UnitProfile
 from ..report import check
@@ -82,11 +82,11 @@ def turn(profile: UnitProfile, seed: int, index: int) -> Outcome:
             worst_px = max(worst_px, float(np.hypot(error[0], error[1])) / profile.pixel_arcsec)
         if REST_S <= t_s < over_from_s:
             at_rate += 1
-            at_rate_valid += result.valid and acquisition is Acquisition.TRACKING
+            at_rate_valid += result.valid and acquisition is Mode.TRACKING
         elif over_from_s <= t_s < over_until_s and not result.valid:
             lost = True
             reasons |= result.reasons
-        elif t_s >= over_until_s and result.valid and chain.acquisition is Acquisition.TRACKING and not np.isfinite(back_s):
+        elif t_s >= over_until_s and result.valid and chain.acquisition is Mode.TRACKING and not np.isfinite(back_s):
             back_s = t_s + period_s - over_until_s
     direction = (float(axis[0]), float(axis[1]), float(axis[2]))
     return Outcome(direction, at_rate, int(at_rate_valid), lost, int(reasons), float(back_s), worst_px)

@@ -16,8 +16,9 @@ from typing import Any, Protocol
 
 from ..clock import NS_PER_US, VirtualClock
 from ..firmware_model.configuration import FirmwareConfiguration, StarTables
-from ..firmware_model.firmware import Acquisition, FirmwareState, FrameContext, FrameResult, process_frame
+from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
 from ..firmware_model.image.frame import Frame
+from ..firmware_model.modes import Mode
 from ..firmware_model.processor import CycleReport, ProcessorProfile
 from ..protocol.enumerations import FrameDropCause
 
@@ -56,7 +57,6 @@ class FrameSettings:
     """What is latched at a frame's exposure start."""
 
     configuration: FirmwareConfiguration
-    exposure_ns: int
     processor: ProcessorProfile
     pipelined: bool
 
@@ -71,7 +71,7 @@ class FrameRecord:
     readout_end_ns: int
     settings: FrameSettings
     epoch: int
-    acquisition: Acquisition | None
+    acquisition: Mode | None
     pixels: Frame | None
     computation: Deferred | None = None
     result: FrameResult | None = None
@@ -130,8 +130,8 @@ class Imaging:
         self._readout_ns = readout_ns
         self._submit = submit
         self._epoch = 0
-        self._acquisition: Acquisition | None = None
-        self._state = FirmwareState()
+        self._acquisition: Mode | None = None
+        self._state = FirmwareState.initial()
         self._previous: FrameRecord | None = None
         self._dropped_since = 0
         self._capture_wanted = False
@@ -145,12 +145,12 @@ class Imaging:
         self._clock.at(self._clock.now_ns, lambda: self._tick(0))
 
     def acquire(
-        self, state: FirmwareState | None = None, acquisition: Acquisition = Acquisition.LOST_IN_SPACE
+        self, state: FirmwareState | None = None, acquisition: Mode = Mode.LOST_IN_SPACE
     ) -> None:
         """Process frames from the next exposure on; frames in flight are given up."""
         self.stop()
         self._acquisition = acquisition
-        self._state = state or FirmwareState()
+        self._state = state or FirmwareState.initial()
 
     def stop(self) -> None:
         """Process no more frames; frames in flight are given up and the processor is free."""
@@ -181,7 +181,7 @@ class Imaging:
         if self._acquisition is None and not capture:
             return
         settings = self._client.frame_settings()
-        exposure_ns = settings.exposure_ns
+        exposure_ns = settings.configuration.exposure_ns
         record = FrameRecord(
             index=index,
             start_ns=start_ns,

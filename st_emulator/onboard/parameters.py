@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ..clock import NS_PER_US
 from ..configuration import firmware_configuration, processor_profile
 from ..profile import UnitProfile
 from ..protocol.enumerations import FailureCode, ParameterId, StoreInvalidCause
@@ -125,7 +124,6 @@ class Parameters:
         if self._settings is None:
             self._settings = FrameSettings(
                 configuration=firmware_configuration(self._profile, self._values),
-                exposure_ns=int(self._values["exposure_us"]) * NS_PER_US,
                 processor=self._processor.with_clock(int(self._values["clock_hz"])),
                 pipelined=bool(self._values["pipelined"]),
             )

@@ -1,0 +1,301 @@
+"""``st-emulator demo``: a unit and an OBC as two processes over a pseudo-terminal, in real time, start to shutdown."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from .errors import ConfigurationError
+from .journal import read_journal
+from .links import LinkError
+from .obc import Attitude, Obc, ObcError
+from .profile import UnitProfile, load_unit
+from .protocol.enumerations import Mode
+from .report import Check, all_hold, check, show_checks, show_figures, write_json
+from .world import quaternion
+from .world.time_scales import tai_ns_from_utc
+
+ARCSEC_PER_RAD = 180 / np.pi * 3600
+SLEW_SHARE = (0.55, 0.8)  # of the run
+SHUTDOWN_S = 1.5  # before the end
+LOST_IN_SPACE_TARGET_S = 2.0
+TRACKING_SHARE_TARGET = 0.95
+SLEW_RATE_SHARE = 0.8  # peak rate of the slew, of the unit's largest rate
+MOST_SLEW_DEG = 3.0
+START_TIMEOUT_S = 60.0
+START_UTC = "2026-01-15T00:00:00Z"
+
+
+def demo_scenario(profile: UnitProfile, seconds: float, seed: int) -> str:
+    """The scenario of the demo: at rest, a slew below the unit's largest rate, at rest; TOML text."""
+    start_s, end_s = (round(share * seconds, 2) for share in SLEW_SHARE)
+    # A versine slew peaks at twice its mean rate.
+    angle_deg = min(profile.tracking.rate_deg_s * SLEW_RATE_SHARE / 2 * (end_s - start_s), MOST_SLEW_DEG)
+    return f"""# The demo of {profile.name}: at rest, a slew, at rest.
+schema = 1
+name = "demo"
+duration_s = {seconds:g}
+start_utc = "{START_UTC}"
+seed = {seed}
+
+[trajectory]
+kind = "slew"
+ra_deg = 84.0
+dec_deg = -1.5
+roll_deg = 20.0
+
+[[trajectory.segments]]
+kind = "hold"
+duration_s = {start_s:g}
+
+[[trajectory.segments]]
+kind = "slew_to"
+duration_s = {end_s - start_s:g}
+ra_deg = 84.0
+dec_deg = {-1.5 - angle_deg:.4f}
+roll_deg = 20.0
+"""
+
+
+@dataclass
+class Session:
+    """What the OBC did and saw."""
+
+    sent: int = 0
+    verified: int = 0
+    acquire_ns: int = 0
+    packets: int = 0
+    crc_errors: int = 0
+    malformed: int = 0
+    gaps: int = 0
+    attitudes: list[Attitude] = field(default_factory=list)
+    problem: str = ""
+
+
+def run_demo(unit: str, seconds: float, json_path: str | None, out: Path, seed: int | None, console: Console) -> int:
+    """Run the demo; exit status 0 when every check holds, else 1."""
+    profile = load_unit(unit)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(f"--out {out}: cannot be made: {error.strerror}") from error
+    scenario_path = out / "scenario.toml"
+    scenario_path.write_text(demo_scenario(profile, seconds, 1 if seed is None else seed), encoding="utf-8")
+    link = out / "tracker"
+    console.print(f"[bold]st-emulator demo[/]: {profile.unit.title}, {seconds:g} s in real time")
+    command = [
+        *(sys.executable, "-m", "st_emulator", "run", unit, "--quiet"),
+        *("--link", f"pty:{link}", "--scenario", str(scenario_path)),
+        *("--journal", str(out / "journal.jsonl"), "--truth", str(out / "truth.jsonl"), "--store", "none"),
+    ]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    try:
+        session = _operate(process, link, profile, seconds, out, console)
+        try:
+            _, said = process.communicate(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.terminate()
+            _, said = process.communicate(timeout=10)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+    if process.returncode != 0:
+        session.problem = session.problem or f"the emulator ended with status {process.returncode}: {said.strip()}"
+    if session.problem:
+        console.print(f"[red]{session.problem}[/]")
+    figures, checks, series = evaluate(profile, seconds, session, out)
+    picture = out / "demo.png"
+    try:
+        _draw(profile, series, out, picture)
+        figures["picture"] = str(picture)
+    except (OSError, ValueError) as error:
+        console.print(f"[red]no picture: {error}[/]")
+    show_figures(console, "demo", figures)
+    show_checks(console, checks)
+    console.print(f"journal, truth, telemetry and picture are in {out}/")
+    write_json(json_path, figures, checks)
+    return 0 if all_hold(checks) and not session.problem else 1
+
+
+def _operate(
+    process: subprocess.Popen[str], link: Path, profile: UnitProfile, seconds: float, out: Path, console: Console
+) -> Session:
+    """The OBC's part: every telecommand of the demo, then listening to the end."""
+    session = Session()
+    with Progress(
+        TextColumn("[bold]{task.fields[doing]:<34}"), BarColumn(), TimeElapsedColumn(), console=console, transient=True
+    ) as progress:
+        task = progress.add_task("demo", total=seconds, doing="emulator starts")
+        _await_link(process, link)
+        started = time.monotonic()
+
+        def do(doing: str) -> None:
+            progress.update(task, completed=time.monotonic() - started, doing=doing)
+            if not console.is_terminal:
+                console.print(f"{time.monotonic() - started:6.1f} s  {doing}")
+
+        with Obc.connect(f"pty:{link}", apid=profile.apid, record=out / "telemetry") as obc:
+
+            def command(doing: str, action: Any) -> None:
+                do(doing)
+                session.sent += 1
+                action()
+                session.verified += 1
+
+            try:
+                _await_boot(obc, session, do)
+                command("self-test", obc.self_test)
+                command("ping", obc.ping)
+                command("set time", lambda: obc.set_time(_world_tai_ns(obc)))
+                command("housekeeping on", lambda: obc.enable_housekeeping("TIMING"))
+                session.acquire_ns = obc.now_ns()
+                command("lost in space", obc.acquire)
+                obc.wait_for_mode("TRACKING", timeout_s=10)
+                phase = [(SLEW_SHARE[0], "tracking, at rest"), (SLEW_SHARE[1], "tracking, slew"), (1.0, "tracking, at rest")]
+                for share, doing in phase:
+                    do(doing)
+                    until = min(share * seconds, seconds - SHUTDOWN_S)
+                    while (left := until - (time.monotonic() - started)) > 0:
+                        obc.wait(min(0.5, left))
+                        progress.update(task, completed=time.monotonic() - started)
+                command("status", lambda: obc.housekeeping("STATUS"))
+                command("shutdown", obc.shutdown)
+                do("emulator ends")
+                obc.wait(0.3)
+            except (ObcError, LinkError) as error:
+                session.problem = f"the OBC gave up: {error}"
+            counters = obc.counters
+            session.packets = counters.packets
+            session.crc_errors = counters.crc_errors
+            session.malformed = counters.malformed
+            session.gaps = counters.sequence_gaps
+            session.attitudes = obc.attitudes()
+    return session
+
+
+def _await_link(process: subprocess.Popen[str], link: Path) -> None:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while not link.exists():
+        if process.poll() is not None:
+            said = process.stderr.read() if process.stderr is not None else ""
+            raise ConfigurationError(f"the emulator did not start: {said.strip()}")
+        if time.monotonic() > deadline:
+            raise ConfigurationError(f"the emulator made no link {link} within {START_TIMEOUT_S:g} s")
+        time.sleep(0.02)
+
+
+def _await_boot(obc: Obc, session: Session, do: Any) -> None:
+    """Wait for the first sign of life: a late listener may have missed the boot event, housekeeping comes each second."""
+    do("boot")
+    obc.wait_for("hk_report", lambda telemetry: True, timeout_s=START_TIMEOUT_S)
+
+
+def _world_tai_ns(obc: Obc) -> int:
+    """The date in the unit's world now. Until its time is set the unit counts from power-on, when the scenario starts."""
+    last = obc.telemetry_since()[-1]
+    return tai_ns_from_utc(START_UTC) + last.telemetry.time.to_ns() + obc.now_ns() - last.time_ns
+
+
+@dataclass
+class Series:
+    """The run over time, for the picture."""
+
+    t_s: NDArray[np.float64]
+    mode: NDArray[np.int64]
+    valid: NDArray[np.bool_]
+    at_rest: NDArray[np.bool_]
+    error_arcsec: NDArray[np.float64]
+    frame_index: NDArray[np.int64]
+
+
+def evaluate(
+    profile: UnitProfile, seconds: float, session: Session, out: Path
+) -> tuple[dict[str, Any], list[Check], Series]:
+    """Figures and checks from what the OBC received and from the truth file."""
+    truth: dict[int, dict[str, Any]] = {}
+    with (out / "truth.jsonl").open(encoding="utf-8") as file:
+        for line in file:
+            record = json.loads(line)
+            truth[record["frame_index"]] = record
+    reports = [report for report in session.attitudes if report.frame_index in truth]
+    errors, at_rest = [], []
+    for report in reports:
+        record = truth[report.frame_index]
+        errors.append(
+            quaternion.error_rotation_vector(report.q_icrs_to_sensor, record["q_icrs_to_sensor"]) * ARCSEC_PER_RAD
+        )
+        at_rest.append(bool(np.linalg.norm(record["rate_rad_s"]) < 1e-12))
+    error = np.array(errors).reshape(-1, 3)
+    rest = np.array(at_rest, dtype=bool)
+    valid = np.array([report.valid for report in reports], dtype=bool)
+    mode = np.array([int(report.mode) for report in reports], dtype=np.int64)
+    index = np.array([report.frame_index for report in reports], dtype=np.int64)
+    t_s = np.array([truth[int(i)]["exposure_mid_ns"] * 1e-9 for i in index])
+    first_valid = next((report for report in reports if report.valid), None)
+    acquired_s = None
+    if first_valid is not None:
+        acquired_s = (first_valid.received_ns - session.acquire_ns) * 1e-9
+    after = np.arange(len(reports)) > (reports.index(first_valid) if first_valid is not None else len(reports))
+    tracking = valid & (mode == Mode.TRACKING)
+    share = float(np.mean(tracking[after])) if after.any() else None
+    good = valid & rest
+    cross = float(np.sqrt(np.mean(np.square(error[good, :2])))) if good.any() else None
+    roll = float(np.sqrt(np.mean(np.square(error[good, 2])))) if good.any() else None
+    figures: dict[str, Any] = {
+        "unit": profile.name,
+        "seconds": seconds,
+        "frames": len(reports),
+        "frames_tracking": int(tracking.sum()),
+        "frames_inertial": int(good.sum()),
+        "lost_in_space_s": acquired_s,
+        "tracking_share": share,
+        "cross_boresight_arcsec_rms": cross,
+        "roll_arcsec_rms": roll,
+        "telemetry_packets": session.packets,
+        "crc_errors": session.crc_errors,
+        "malformed": session.malformed,
+        "sequence_gaps": session.gaps,
+        "telecommands_sent": session.sent,
+        "telecommands_verified": session.verified,
+        "overruns": sum(report.late for report in session.attitudes),
+        "problem": session.problem or None,
+    }
+    checks = [
+        check("crc_errors", session.crc_errors, "==", 0, "packets"),
+        check("sequence_gaps", session.gaps, "==", 0, "gaps"),
+        check("telecommands_verified", session.verified, "==", session.sent, "telecommands"),
+        check("lost_in_space_s", acquired_s, "<=", LOST_IN_SPACE_TARGET_S, "s"),
+        check("tracking_share", share, ">=", TRACKING_SHARE_TARGET, ""),
+        check("overruns", figures["overruns"], "==", 0, "frames"),
+    ]
+    if profile.requirements.cross_boresight_arcsec is not None:
+        target = profile.requirements.cross_boresight_arcsec
+        checks.append(check("cross_boresight_arcsec_rms", cross, "<=", target, "arcsec"))
+    return figures, checks, Series(t_s, mode, valid, rest, error, index)
+
+
+def _draw(profile: UnitProfile, series: Series, out: Path, picture: Path) -> None:
+    """A tracked frame (by replaying the journal up to it) above the run over time."""
+    from .pictures import draw_run
+    from .replaying import frame_of
+
+    tracked = np.flatnonzero(series.valid & (series.mode == Mode.TRACKING))
+    if not len(tracked):
+        raise ValueError("no frame was tracked")
+    journal_path = out / "journal.jsonl"
+    index = int(series.frame_index[tracked[min(4, len(tracked) - 1)]])
+    record = frame_of(read_journal(journal_path), str(journal_path), index)
+    if record is None:
+        raise ValueError(f"frame {index} is not in the journal's replay")
+    draw_run(profile, record, series, picture)

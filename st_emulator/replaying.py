@@ -1,0 +1,113 @@
+"""``st-emulator replay``: a journal's received bytes to a fresh unit, and what it sends against what it sent."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from .clock import NS_PER_S
+from .emulator import Emulator
+from .errors import ConfigurationError
+from .journal import Journal, JournalEntry, read_journal
+from .onboard.imaging import FrameRecord
+from .onboard.parameter_store import StoreContents, VolatileStore
+from .profile import UnitProfile, validate
+from .report import check, show_checks, show_figures, write_json
+from .scenario import Scenario
+from .world.recorded import RecordedFrames
+
+
+def emulator_of(journal: Journal, where: str, **arguments: Any) -> Emulator:
+    """A fresh emulator as the journal's first line describes it; its scenario's telecommands come from the entries."""
+    header = journal.header
+    try:
+        profile = validate(UnitProfile, header["unit"], where)
+        scenario = validate(Scenario, header["scenario"], where)
+        store = VolatileStore(StoreContents(dict(header["store"]["parameters"]), int(header["store"]["boot_count"])))
+        frames = None
+        if header["frames"] is not None:
+            frames = RecordedFrames(
+                [Path(name) for name in header["frames"]], profile.detector.columns, profile.detector.rows
+            )
+        # The bytes of the scenario's own telecommands stand in the journal like any others.
+        scenario = scenario.model_copy(update={"telecommands": [], "parameters": {}})
+        return Emulator(
+            profile,
+            scenario,
+            seed=int(header["seed"]),
+            frames=frames,
+            store=store,
+            pace_reception=bool(header["pace_reception"]),
+            baud=int(header["baud"]),
+            **arguments,
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigurationError(f"{where}: the journal's first line is damaged: {error!r}") from error
+
+
+def feed(emulator: Emulator, journal: Journal, until_ns: int | None = None) -> None:
+    """Give the received bytes at their times, and run to the journal's end (or ``until_ns``)."""
+    end_ns = journal.end_ns if until_ns is None else until_ns
+    for entry in journal.entries:
+        if entry.direction == "rx" and entry.t_ns <= end_ns:
+            emulator.advance(entry.t_ns)
+            emulator.receive(entry.data)
+    emulator.advance(end_ns)
+
+
+def first_difference(recorded: list[JournalEntry], replayed: list[JournalEntry]) -> str | None:
+    """Where two series of transmitted groups part, or None."""
+    for number, (one, other) in enumerate(zip(recorded, replayed, strict=False)):
+        if one != other:
+            return f"group {number} at {one.t_ns / NS_PER_S:.9f} s against {other.t_ns / NS_PER_S:.9f} s"
+    if len(recorded) != len(replayed):
+        return f"{len(recorded)} groups against {len(replayed)}"
+    return None
+
+
+def replay_journal(path: Path, json_path: str | None, write: Path | None, console: Console) -> int:
+    """Replay and compare; exit status 0 when every byte and time is the same."""
+    journal = read_journal(path)
+    replayed: list[JournalEntry] = []
+    text = io.StringIO()
+    emulator = emulator_of(
+        journal,
+        str(path),
+        transmit=lambda data, t_ns: replayed.append(JournalEntry(t_ns, "tx", data)),
+        journal=text,
+    )
+    feed(emulator, journal)
+    emulator.close()
+    if write is not None:
+        try:
+            write.write_text(text.getvalue(), encoding="utf-8")
+        except OSError as error:
+            raise ConfigurationError(f"{write}: cannot be written: {error.strerror}") from error
+    recorded = [entry for entry in journal.entries if entry.direction == "tx"]
+    # A run that was killed ends somewhere: what it could not write any more is not compared.
+    replayed = [entry for entry in replayed if entry.t_ns <= journal.end_ns]
+    difference = first_difference(recorded, replayed)
+    figures = {
+        "seconds": journal.end_ns / NS_PER_S,
+        "rx_bytes": len(journal.bytes_of("rx")),
+        "tx_bytes": len(journal.bytes_of("tx")),
+        "tx_bytes_replayed": sum(len(entry.data) for entry in replayed),
+        "first_difference": difference or "none",
+    }
+    checks = [check("differences", int(difference is not None), "==", 0, "")]
+    show_figures(console, f"replay of {path}", figures)
+    show_checks(console, checks)
+    write_json(json_path, figures, checks)
+    return 0 if difference is None else 1
+
+
+def frame_of(journal: Journal, where: str, frame_index: int) -> FrameRecord | None:
+    """One processed frame of a journal, with its pixels and intermediates, by replaying up to it."""
+    found: list[FrameRecord] = []
+    emulator = emulator_of(journal, where, on_completed=found.append)
+    period_ns = emulator.profile.frame_period_ns
+    feed(emulator, journal, min(journal.end_ns, (frame_index + 2) * period_ns))
+    return next((record for record in found if record.index == frame_index), None)
