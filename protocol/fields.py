@@ -339,19 +339,30 @@ class Switched:
         """None: it varies."""
         return None
 
-    def prepare(self, value: Any, path: str, strict: bool, selector: int) -> Any:
-        """``value`` as the case of ``selector`` needs it; FieldError when it does not fit."""
+    def prepare(self, values: Mapping[str, Any], path: str, strict: bool, selector: int) -> Any:
+        """The contents in ``values``, the group's, as the case of ``selector`` needs them.
+
+        FieldError when they do not fit; contents without any field may be left out. Not ``strict``: octets
+        for an unknown ``selector``.
+        """
+        value = values.get(self.name)
         case = self.cases.get(selector)
         if case is None:
             if not strict and isinstance(value, (bytes, bytearray)):
                 return bytes(value)
-            allowed = "octets, for want of a known identifier"
-            raise FieldError(FieldViolation(path, value, allowed, FieldProblem.WRONG_TYPE))
-        if case.single:
-            element = case.fields[0]
-            assert not isinstance(element, Switched)
-            return element.prepare(value, path, strict)
-        return FieldGroup(case.fields).prepare({} if value is None else value, path + ".", strict)
+            known = ", ".join(f"{number} {entry.title}" for number, entry in self.cases.items())
+            raise FieldError(
+                FieldViolation(path + self.on, selector, f"one of {known}", FieldProblem.UNKNOWN_ID)
+            )
+        if not case.single:
+            return FieldGroup(case.fields).prepare(
+                {} if value is None else value, f"{path}{self.name}.", strict
+            )
+        element = case.fields[0]
+        assert isinstance(element, Field)
+        if self.name not in values:
+            raise FieldError(FieldViolation(path + self.name, None, element.allowed(), FieldProblem.MISSING))
+        return element.prepare(value, path + self.name, strict)
 
 
 Element = Field | Data | Repeated | Switched
@@ -391,8 +402,7 @@ class FieldGroup:
         for element in self.elements:
             name = element.name
             if isinstance(element, Switched):
-                selector = prepared[element.on]
-                prepared[name] = element.prepare(values.get(name), path + name, strict, selector)
+                prepared[name] = element.prepare(values, path, strict, prepared[element.on])
             elif name in values:
                 prepared[name] = element.prepare(values[name], path + name, strict)
             else:
