@@ -14,7 +14,7 @@ from st_emulator.protocol.enumerations import Mode, Reason
 
 @dataclass(frozen=True)
 class Attitude:
-    """One attitude report (130,1).
+    """One attitude report (130,1); `mode` is a plain number when this interface has no name for it.
 
     time_ns: middle of the exposure, on-board TAI ns since 1958-01-01. q_icrs_to_sensor: float64[4], x y z w
     (scalar last), v_sensor = A(q) v_icrs. covariance_rad2: float64[3, 3] of the small-angle error in sensor
@@ -43,11 +43,12 @@ class Attitude:
     def from_fields(cls, fields: Mapping[str, Any], received_ns: int) -> Attitude:
         """From the decoded fields of an attitude report."""
         covariance = [[fields[f"covariance_{min(a, b)}{max(a, b)}"] for b in "xyz"] for a in "xyz"]
+        mode = Mode(fields["mode"]) if fields["mode"] in Mode.__members__.values() else int(fields["mode"])
         rate = np.array([fields[f"rate_{axis}"] for axis in "xyz"], dtype=np.float64)
         return cls(
             time_ns=fields["mid_exposure_time"].to_ns(),
             frame_index=fields["frame_index"],
-            mode=Mode(fields["mode"]),
+            mode=mode,
             valid=bool(fields["valid"]),
             reasons=Reason(fields["reasons"]),
             q_icrs_to_sensor=np.array([fields[f"q_{axis}"] for axis in "xyzw"], dtype=np.float64),

@@ -109,16 +109,16 @@ def _run(
         raise ConfigurationError("--script, --command and --watch exclude each other")
     lines = []
     if script is not None:
-        lines = parse_lines(_script_lines(script), str(script))
+        lines = parse_lines(_script_lines(script), f"{script}, line")
     elif command:
-        lines = [line for text in command for line in parse_lines([text], f"--command {text!r}")]
+        lines = parse_lines(command, "command")
     options: dict[str, Any] = {} if unit is None else _unit_options(unit)
     if apid is not None:
         options["apid"] = apid
     with connect(link, record=record, **options) as obc:
         session = Session(obc, output.print, lambda obc, duration_s: watch(obc, duration_s, output))
         if watching:
-            held = session.run_all(parse_lines(["watch"], "--watch"), errors.print)
+            held = session.run_all(parse_lines(["watch"], "--watch, line"), errors.print)
         elif lines or script is not None:
             held = session.run_all(lines, errors.print)
         else:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from st_emulator.protocol.enumerations import (
     EventId,
@@ -78,11 +79,16 @@ class Command:
 
 def parse_line(line: str) -> Action | None:
     """The action of a line, None when it is empty or a comment (#). CommandError when it is no command."""
+    words = words_of(line)
+    return _parse_words(words) if words else None
+
+
+def words_of(line: str) -> list[str]:
+    """The words of a line as a POSIX shell has them, without comment."""
     try:
-        words = shlex.split(line, comments=True)
+        return shlex.split(line, comments=True)
     except ValueError as error:
         raise CommandError(f"{line.strip()}: {error}") from None
-    return _parse_words(words) if words else None
 
 
 def _parse_words(words: Sequence[str]) -> Action:
@@ -367,7 +373,7 @@ def _send(arguments: Arguments) -> Action:
     known = [message.name for message in REGISTRY.telecommands()]
     if name not in known:
         raise ValueError(f"{name!r} is no telecommand; there are {', '.join(known)}")
-    fields: dict[str, str] = {}
+    fields: dict[str, Any] = {}
     for word in arguments[1:]:
         key, equals, value = word.partition("=")
         if not equals or not key:

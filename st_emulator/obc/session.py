@@ -11,7 +11,7 @@ from st_emulator.protocol.errors import ProtocolError
 from st_emulator.report import Check
 
 from .client import Obc
-from .commands import Action, CommandError, Desk, NotHeldError, parse_line
+from .commands import Action, CommandError, Desk, NotHeldError, parse_line, words_of
 from .errors import ObcError
 from .expectations import mode_text
 
@@ -99,14 +99,14 @@ class Session:
 
 
 def parse_lines(lines: Sequence[str], where: str) -> list[Line]:
-    """Understand every line before any is run. CommandError names the first that is none."""
+    """Understand every line before any is run; `where` and a number name it. CommandError: one is no command."""
     understood = []
     for number, text in enumerate(lines, start=1):
-        place = f"{where}, line {number}"
+        place = f"{where} {number}"
         try:
             action = parse_line(text)
         except CommandError as error:
             raise CommandError(f"{place}: {error}") from None
         if action is not None:
-            understood.append(Line(place, text.strip(), action))
+            understood.append(Line(place, " ".join(words_of(text)), action))
     return understood
