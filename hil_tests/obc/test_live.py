@@ -40,12 +40,14 @@ def running(wire: Any, link: Link) -> Iterator[Any]:
 def test_over_a_pseudo_terminal(wire: Any, tmp_path: Path, apid: int | None) -> None:
     with PtyLink(tmp_path / "unit") as link, running(wire, link) as unit:
         with Obc.connect(f"pty:{tmp_path / 'unit'}", apid=apid, record=tmp_path / "recording") as obc:
+            unit.attitude(frame=32)
             for _ in range(20):
                 assert obc.ping(PATIENCE_S) > 0
             unit.attitude(frame=33)
             # The thread may have read it before this line: from the start on, then.
-            report = obc.wait_for("attitude_report", None, PATIENCE_S, since=0)
-            assert report.fields["frame_index"] == 33
+            obc.wait_for(
+                "attitude_report", lambda report: report.fields["frame_index"] == 33, PATIENCE_S, since=0
+            )
             counters = obc.counters
         assert (counters.telecommands_sent, counters.telecommands_verified) == (20, 20)
         assert (counters.crc_errors, counters.malformed, counters.sequence_gaps) == (0, 0, 0)
@@ -55,7 +57,7 @@ def test_over_a_pseudo_terminal(wire: Any, tmp_path: Path, apid: int | None) -> 
 
 def test_over_memory(wire: Any) -> None:
     unit_link, obc_link = memory_link_pair()
-    with running(wire, unit_link), Obc(obc_link) as obc:
+    with running(wire, unit_link), Obc(obc_link, apid=wire.APID) as obc:
         assert obc.ping(PATIENCE_S) > 0
 
 
@@ -80,6 +82,15 @@ def test_what_the_thread_cannot_do_reaches_the_caller(wire: Any) -> None:
         unit_link.write(wire.slip(wire.telemetry_packet(17, 2)))
         with pytest.raises(OSError, match="No space left"):
             obc.wait(PATIENCE_S)
+
+
+def test_an_apid_that_is_not_given_is_learned_before_the_first_telecommand(wire: Any) -> None:
+    unit_link, obc_link = memory_link_pair()
+    with running(wire, unit_link) as unit, Obc(obc_link) as obc:
+        unit.attitude(after_ms=50)
+        obc.ping(PATIENCE_S)
+        assert [request.apid for request in unit.requests] == [wire.APID]
+        assert obc.destination_apid == wire.APID
 
 
 def test_silence_ends_at_the_time_limit() -> None:

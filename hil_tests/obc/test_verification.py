@@ -115,7 +115,7 @@ def test_a_failure_names_stage_code_and_data(
     assert error.value.failure_name == "OUT_OF_RANGE"
     assert str(error.value).startswith(
         "function START_ACQUISITION TC[8,1] (APID 0x123, count 0): "
-        f"{stage} failed: OUT_OF_RANGE (8), data 12: "
+        f"{stage} failed: OUT_OF_RANGE (8), data 12 ("
     )
     assert verification.seconds == pytest.approx(0.001)
     assert obc.counters.telecommands_failed == 1
@@ -123,7 +123,7 @@ def test_a_failure_names_stage_code_and_data(
 
 def test_an_unknown_failure_code_is_told_as_a_number(obc: Obc, unit: Any) -> None:
     unit.handlers[FUNCTION] = lambda request: unit.fail(request, 2, 999)
-    with pytest.raises(VerificationError, match=r"CODE_999 \(999\), data 0: not a code of this interface"):
+    with pytest.raises(VerificationError, match=r"CODE_999 \(999\), data 0 \(not a code of this interface"):
         obc.send("function", function_id="GO_STANDBY")
 
 

@@ -284,9 +284,8 @@ def _get(arguments: Arguments) -> Action:
 
     def act(desk: Desk) -> None:
         for name, value in desk.obc.parameters(numbers).items():
-            known = ParameterId.__members__.get(name.upper())
-            unit = "" if known is None else PARAMETERS[known].unit
-            desk.say(f"{name:34} {value:.9g} {unit}".rstrip())
+            field = PARAMETERS[ParameterId[name.upper()]].field
+            desk.say(f"{name:34} {field_text([field], field.name, value)} {field.unit}".rstrip())
 
     return act
 

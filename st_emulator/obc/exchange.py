@@ -26,6 +26,8 @@ from .verification import NS_PER_S, State, Verification
 
 KEPT_PACKETS = 10_000
 DEFAULT_TIMEOUT_S = 5.0
+LEARNING_S = 1.5
+"""Units report housekeeping each second as they come."""
 Predicate = Callable[[Telemetry], Any]
 
 
@@ -67,6 +69,7 @@ class Exchange:
         self._received: deque[Received] = deque(maxlen=KEPT_PACKETS)
         self._next_number = 0
         self._closed = False
+        self._asked_for_apid = False
         self.started_ns = self._reader.now_ns()
         if recorder is not None:
             session = {"link": link.name, "apid": apid, "source_id": source_id}
@@ -151,7 +154,13 @@ class Exchange:
         strict: bool = True,
         **fields: Any,
     ) -> Verification:
-        """As `send`, without waiting: the record returned is brought up to date as reports come."""
+        """As `send`, without waiting: the record returned is brought up to date as reports come.
+
+        Without an APID given, the first telecommand waits for telemetry to learn it from, at most LEARNING_S.
+        """
+        if apid is None and not self._asked_for_apid:
+            self._asked_for_apid = True
+            self._reader.wait(lambda: self._protocol.apid_known, self._deadline_ns(LEARNING_S))
         with self._reader.lock:
             line, verification = self._protocol.telecommand(
                 name,

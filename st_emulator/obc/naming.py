@@ -180,13 +180,14 @@ def plain(value: Any) -> Any:
 
 def field_text(elements: Sequence[Element], name: str, value: Any) -> str:
     """A decoded value for a person: by its name where the field `name` among `elements` is an enumeration."""
-    for element in elements:
-        if isinstance(element, Field) and element.name == name and element.choices is not None:
-            return name_of(element.choices, value)
+    field = next((entry for entry in elements if isinstance(entry, Field) and entry.name == name), None)
+    if field is not None and field.choices is not None:
+        return name_of(field.choices, value)
     if isinstance(value, CucTime):
         return f"{value.to_ns() / 1e9:.6f}"
     if isinstance(value, float):
-        return f"{value:.9g}"
+        single = field is not None and field.type.size_bytes == 4
+        return f"{value:.7g}" if single else f"{value:.12g}"
     return str(plain(value))
 
 

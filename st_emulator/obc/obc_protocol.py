@@ -149,6 +149,11 @@ class ObcProtocol:
         self._next_telecommand_count: dict[int, int] = {}
 
     @property
+    def apid_known(self) -> bool:
+        """Whether the unit's APID was given or has been heard."""
+        return self.apid is not None or self._learned_apid is not None
+
+    @property
     def destination_apid(self) -> int:
         """Where telecommands go."""
         if self.apid is not None:

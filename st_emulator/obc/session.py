@@ -99,7 +99,7 @@ class Session:
 
 
 def parse_lines(lines: Sequence[str], where: str) -> list[Line]:
-    """Understand every line before any is run; `where` and a number name it. CommandError: one is no command."""
+    """Understand every line before any is run; CommandError names the first that is no command."""
     understood = []
     for number, text in enumerate(lines, start=1):
         place = f"{where} {number}"

@@ -135,7 +135,7 @@ class Verification:
             meaning = MEANINGS.get(FailureCode(self.failure_code), "")
         return (
             f"{self.failure_stage.name.lower()} failed: {self.failure_name} ({self.failure_code}), "
-            f"data {self.failure_data}: {meaning}"
+            f"data {self.failure_data} ({meaning})"
         )
 
     @property
