@@ -6,12 +6,12 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from st_emulator.protocol.enumerations import Mode, Reason
+from st_emulator.protocol.enumerations import Mode, Reason, TimeStatus
 
 from .attitude import Attitude
 from .client import Obc
 from .naming import name_of
-from .tai import utc_from_cuc
+from .tai import seconds, utc_from_cuc
 
 REFRESH_S = 0.25
 SHOWN_EVENTS = 6
@@ -41,7 +41,10 @@ def live_table(obc: Obc) -> Table:
     if attitudes:
         _attitude_rows(table, attitudes[-1])
         telemetry = unit.latest["attitude_report"]
-        table.add_row("time", f"{utc_from_cuc(telemetry.time).isoformat(timespec='milliseconds')}")
+        if telemetry.time_status == TimeStatus.SET:
+            table.add_row("time", utc_from_cuc(telemetry.time).isoformat(timespec="milliseconds"))
+        else:
+            table.add_row("time", f"not set, {seconds(telemetry.time):.3f} s since the start")
         frames = ", ".join(f"{name_of(Mode, mode)} {count}" for mode, count in unit.frames_by_mode.items())
         table.add_row("frames", frames)
     else:
