@@ -433,6 +433,8 @@ def test_the_live_view_before_and_after_the_first_report(obc: Obc, unit: Any) ->
     unit.event(6, struct.pack(">II", 3, 2), severity=2)
     obc.wait(0.01)
     text = drawn(obc)
+    # 2e9.5 s of TAI since 1958, and 37 leap seconds less in UTC
+    assert "2021-05-18T03:32:43.500+00:00" in text
     for part in (
         "TRACKING",
         "dec +90.00000",
