@@ -73,9 +73,10 @@ def frame_statistics(image: NDArray[np.uint16]) -> tuple[float, float, int]:
 def window_statistics(window: NDArray[np.uint16], scratch: NDArray[np.float64]) -> tuple[float, float]:
     """Background and noise (DN, 1 sigma) of a detection window.
 
-    Starts from the median of at most 256 pixels and the r.m.s. about it of all pixels, star and all; then
-    mean and r.m.s. of the pixels within 4 sigma until it settles (2 %, at most 12 times). Coming from above,
-    it ends at the larger noise where the distribution has a tail (a converter that clips at 0 DN).
+    Median and median absolute deviation of at most 256 pixels start; then mean and r.m.s. of the pixels
+    within 4 sigma, until it settles (2 %, at most 12 times). From below, a star in a small window does not
+    count; and with 4 sigma the noise still grows to its full width where half of a distribution is missing
+    (a converter that clips at 0 DN).
     ``scratch``: at least 256 float64.
     """
     rows, columns = window.shape
@@ -88,7 +89,9 @@ def window_statistics(window: NDArray[np.uint16], scratch: NDArray[np.float64]) 
         scratch[count] = window[place // columns, place % columns]
         count += 1
     level = float(np.median(scratch[:count]))
-    sigma = 1e9
+    for i in range(count):
+        scratch[i] = abs(scratch[i] - level)
+    sigma = max(1.4826 * float(np.median(scratch[:count])), 0.7)
     for _ in range(12):
         limit = 4.0 * sigma
         total = 0.0
@@ -104,12 +107,9 @@ def window_statistics(window: NDArray[np.uint16], scratch: NDArray[np.float64]) 
         if kept < 2:
             break
         mean = total / kept
+        level += mean
         before = sigma
-        if limit < 1e9:
-            level += mean
-            sigma = math.sqrt(max(squares / kept - mean * mean, 0.0))
-        else:
-            sigma = math.sqrt(squares / kept)  # about the median: the mean is the star's
-        if sigma >= 0.98 * before or sigma == 0.0:
+        sigma = math.sqrt(max(squares / kept - mean * mean, 0.0))
+        if abs(sigma - before) <= 0.02 * before or sigma == 0.0:
             break
     return level, sigma
