@@ -17,13 +17,22 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
-    help="Hardware-in-the-loop star tracker firmware emulator: a star tracker on a serial line, from the sky to the bytes.",
+    help="Hardware-in-the-loop star tracker firmware emulator: a star tracker on a serial line, from "
+    "the sky to the bytes.",
 )
 export_app = typer.Typer(no_args_is_help=True, help="Write documents and schemas generated from the code.")
 app.add_typer(export_app, name="export")
 
-Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write the figures and checks as JSON (- for standard output).")]
-Unit = Annotated[str, typer.Option("--unit", "-u", metavar="UNIT", help="A shipped unit or the path of a unit file (.toml).")]
+Json = Annotated[
+    str | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Write the figures and checks as JSON (- for standard output)."
+    ),
+]
+Unit = Annotated[
+    str,
+    typer.Option("--unit", "-u", metavar="UNIT", help="A shipped unit or the path of a unit file (.toml)."),
+]
 Seed = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of noise and random events.")]
 
 
@@ -34,16 +43,62 @@ def console_for(json_path: str | None) -> Console:
 
 @app.command()
 def run(
-    unit: Annotated[str, typer.Argument(help="A shipped unit (see `st-emulator units`) or the path of a unit file.")],
-    link: Annotated[str | None, typer.Option("--link", metavar="LINK", help="`pty`, `pty:PATH`, `serial:DEV`, `serial:DEV@BAUD` or `none`. Default: pty at speed 1, else none.")] = None,
-    scenario: Annotated[Path | None, typer.Option("--scenario", metavar="FILE", help="Trajectory, sky and telecommands at times (TOML).")] = None,
-    speed: Annotated[str, typer.Option("--speed", metavar="1|N|max", help="Times real time, or as fast as possible. A live OBC needs 1.")] = "1",
+    unit: Annotated[
+        str, typer.Argument(help="A shipped unit (see `st-emulator units`) or the path of a unit file.")
+    ],
+    link: Annotated[
+        str | None,
+        typer.Option(
+            "--link",
+            metavar="LINK",
+            help="`pty`, `pty:PATH`, `serial:DEV`, `serial:DEV@BAUD` or `none`. Default: pty at speed "
+            "1, else none.",
+        ),
+    ] = None,
+    scenario: Annotated[
+        Path | None,
+        typer.Option("--scenario", metavar="FILE", help="Trajectory, sky and telecommands at times (TOML)."),
+    ] = None,
+    speed: Annotated[
+        str,
+        typer.Option(
+            "--speed", metavar="1|N|max", help="Times real time, or as fast as possible. A live OBC needs 1."
+        ),
+    ] = "1",
     seed: Seed = None,
-    frames: Annotated[Path | None, typer.Option("--frames", metavar="DIR", help="Recorded frames (PNG, TIFF, FITS) instead of the rendered sky.")] = None,
-    journal: Annotated[Path | None, typer.Option("--journal", metavar="FILE", help="Raw bytes of both directions with virtual times (JSON lines).")] = None,
-    truth: Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="True attitude and stars of each frame (JSON lines).")] = None,
-    seconds: Annotated[float | None, typer.Option("--seconds", min=0.001, help="Stop after so much virtual time; default: the scenario's duration, else until stopped.")] = None,
-    store: Annotated[str | None, typer.Option("--store", metavar="FILE", help="The unit's non-volatile memory. Default: a file of the user's state folder; `none`, and a scenario, start from factory parameters.")] = None,
+    frames: Annotated[
+        Path | None,
+        typer.Option(
+            "--frames", metavar="DIR", help="Recorded frames (PNG, TIFF, FITS) instead of the rendered sky."
+        ),
+    ] = None,
+    journal: Annotated[
+        Path | None,
+        typer.Option(
+            "--journal", metavar="FILE", help="Raw bytes of both directions with virtual times (JSON lines)."
+        ),
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option("--truth", metavar="FILE", help="True attitude and stars of each frame (JSON lines)."),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            "--seconds",
+            min=0.001,
+            help="Stop after so much virtual time; default: the scenario's duration, else until stopped.",
+        ),
+    ] = None,
+    store: Annotated[
+        str | None,
+        typer.Option(
+            "--store",
+            metavar="FILE",
+            help="The unit's non-volatile memory. Default: a file of the user's state folder; `none`, "
+            "and a scenario, start from factory parameters.",
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
 ) -> None:
     """Run a unit on a line until stopped (Ctrl-C) or until the scenario's end."""
@@ -69,9 +124,13 @@ def run(
 @app.command()
 def demo(
     unit: Unit = "roja1",
-    seconds: Annotated[float, typer.Option("--seconds", min=12, max=3600, help="Length of the run, real time.")] = 30.0,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=12, max=3600, help="Length of the run, real time.")
+    ] = 30.0,
     json_path: Json = None,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where journal, truth, telemetry and picture go.")] = Path("demo-out"),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Where journal, truth, telemetry and picture go.")
+    ] = Path("demo-out"),
     seed: Seed = None,
 ) -> None:
     """Show the main job: a unit and an OBC as two processes over a pseudo-terminal, in real time."""
@@ -82,15 +141,25 @@ def demo(
 
 @app.command()
 def campaign(
-    name: Annotated[str, typer.Argument(help="`earth-rate`, `lost-in-space`, `accuracy`, `centroids`, `detection`, `tracking-rate` or `star-quadruples`.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="`earth-rate`, `lost-in-space`, `accuracy`, `centroids`, `detection`, `tracking-rate` "
+            "or `star-quadruples`."
+        ),
+    ],
     unit: Unit = "roja1",
-    n: Annotated[int | None, typer.Option("--n", min=1, help="How many cases; each campaign has its own default.")] = None,
+    n: Annotated[
+        int | None, typer.Option("--n", min=1, help="How many cases; each campaign has its own default.")
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the pointings and of the noise.")] = 1,
-    workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes; default: one a core.")] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, help="Processes; default: one a core.")
+    ] = None,
     json_path: Json = None,
 ) -> None:
     """Measure a unit over many skies, and say what falls short."""
-    from .campaigns import run_campaign
+    from .campaigns.registry import run_campaign
 
     raise typer.Exit(run_campaign(name, unit, n, seed, workers, json_path, console_for(json_path)))
 
@@ -100,7 +169,12 @@ def solve(
     image: Annotated[Path, typer.Argument(help="A recorded frame: PNG, TIFF or FITS.")],
     unit: Unit = "roja1",
     json_path: Json = None,
-    picture: Annotated[Path | None, typer.Option("--picture", metavar="FILE", help="Draw the frame with its spots and identified stars (PNG).")] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--picture", metavar="FILE", help="Draw the frame with its spots and identified stars (PNG)."
+        ),
+    ] = None,
 ) -> None:
     """Run the firmware on one recorded frame, lost in space, and print where it looks."""
     from .solving import solve_image
@@ -112,9 +186,13 @@ def solve(
 def replay(
     journal: Annotated[Path, typer.Argument(help="A journal written by `run --journal`.")],
     json_path: Json = None,
-    write: Annotated[Path | None, typer.Option("--write", metavar="FILE", help="Write the replayed journal.")] = None,
+    write: Annotated[
+        Path | None, typer.Option("--write", metavar="FILE", help="Write the replayed journal.")
+    ] = None,
 ) -> None:
-    """Feed a journal's received bytes to a fresh unit and compare what it sends, byte by byte and time by time."""
+    """Feed a journal's received bytes to a fresh unit and compare what it sends, byte by byte and time
+    by time.
+    """
     from .replaying import replay_journal
 
     raise typer.Exit(replay_journal(journal, json_path, write, console_for(json_path)))
@@ -130,14 +208,18 @@ def units(json_path: Json = None) -> None:
     if json_path != "-":
         for profile in profiles:
             print(f"{profile.name:14} {profile.unit.title}")
-    write_json(json_path, {"units": [{"name": p.name, "title": p.unit.title, "apid": p.apid} for p in profiles]}, [])
+    write_json(
+        json_path, {"units": [{"name": p.name, "title": p.unit.title, "apid": p.apid} for p in profiles]}, []
+    )
 
 
 def _write_document(text: str, out: Path, check: bool) -> None:
     """Write a generated document, or with ``check`` say whether the written one is up to date."""
     if check:
         if not out.exists() or out.read_text(encoding="utf-8") != text:
-            raise ConfigurationError(f"{out}: out of date; write it anew with the same command without --check")
+            raise ConfigurationError(
+                f"{out}: out of date; write it anew with the same command without --check"
+            )
         print(f"{out}: up to date")
         return
     try:
@@ -148,7 +230,9 @@ def _write_document(text: str, out: Path, check: bool) -> None:
     print(out)
 
 
-Stale = Annotated[bool, typer.Option("--check", help="Write nothing; exit with status 2 when the document is out of date.")]
+Stale = Annotated[
+    bool, typer.Option("--check", help="Write nothing; exit with status 2 when the document is out of date.")
+]
 
 
 @export_app.command("icd")

@@ -1,4 +1,6 @@
-"""From a unit file and a scenario to what each room takes: camera, sky, trajectory, star tables, firmware settings."""
+"""From a unit file and a scenario to what each room takes: camera, sky, trajectory, star tables,
+firmware settings.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from .errors import ConfigurationError
 from .firmware_model.catalogue.pairs import PairCatalogue, build_pair_catalogue
 from .firmware_model.catalogue.star_catalogue import StarCatalogue, build_star_catalogue
 from .firmware_model.configuration import CentroidError, FirmwareConfiguration, StarTables
 from .firmware_model.geometry import CameraGeometry
 from .firmware_model.identification.interface import IdentificationParameters
 from .firmware_model.image.detection import DetectionParameters
-from .errors import ConfigurationError
 from .firmware_model.processor import ProcessorProfile, ProcessorProfileError
 from .firmware_model.tracking import TrackingParameters
 from .profile import UnitProfile
@@ -79,7 +81,9 @@ def camera_model(profile: UnitProfile) -> CameraModel:
 
 
 def camera_geometry(profile: UnitProfile) -> CameraGeometry:
-    """The calibration that the firmware holds. ASSUMED: it is exact; an error of it would be one more figure of the unit."""
+    """The calibration that the firmware holds. ASSUMED: it is exact; an error of it would be one more
+    figure of the unit.
+    """
     cx_px, cy_px = profile.principal_point_px
     optics = profile.optics
     return CameraGeometry(
@@ -120,7 +124,9 @@ def trajectory_of(scenario: Scenario, start_tai_ns: int) -> Trajectory:
                     segments.append(
                         slew.SlewTo(segment.ra_deg, segment.dec_deg, segment.roll_deg, segment.duration_s)
                     )
-            return slew.slew(ra_deg=item.ra_deg, dec_deg=item.dec_deg, roll_deg=item.roll_deg, segments=segments)
+            return slew.slew(
+                ra_deg=item.ra_deg, dec_deg=item.dec_deg, roll_deg=item.roll_deg, segments=segments
+            )
         case OrbitTrajectory():
             return orbit.orbit(
                 altitude_km=item.altitude_km,
@@ -188,7 +194,9 @@ def processor_profile(profile: UnitProfile) -> ProcessorProfile:
 
 @lru_cache(maxsize=4)
 def _tables(limit_mag: float, epoch_jyear: float, resolution_rad: float, max_angle_rad: float) -> StarTables:
-    key = f"{TABLES_LAYOUT} {limit_mag!r} {epoch_jyear!r} {resolution_rad!r} {max_angle_rad!r} {np.__version__}"
+    key = (
+        f"{TABLES_LAYOUT} {limit_mag!r} {epoch_jyear!r} {resolution_rad!r} {max_angle_rad!r} {np.__version__}"
+    )
     path = cache_folder() / f"tables-{hashlib.sha256(key.encode()).hexdigest()[:16]}.npz"
     try:
         with np.load(path, allow_pickle=False) as arrays:
@@ -208,7 +216,7 @@ def _write_atomically(path: Path, arrays: dict[str, np.ndarray]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
         try:
-            np.savez(part, allow_pickle=False, **arrays)  # type: ignore[arg-type]
+            np.savez(part, allow_pickle=False, **arrays)
             part.flush()
             os.replace(part.name, path)
         except BaseException:
@@ -227,13 +235,16 @@ def star_tables(profile: UnitProfile) -> StarTables:
     )
 
 
-def firmware_configuration(profile: UnitProfile, parameters: Mapping[str, float | int]) -> FirmwareConfiguration:
+def firmware_configuration(
+    profile: UnitProfile, parameters: Mapping[str, float | int]
+) -> FirmwareConfiguration:
     """What a frame's processing needs, from the unit file and the on-board parameters in force."""
     detector = profile.detector
     geometry = camera_geometry(profile)
     exposure_us = int(parameters["exposure_us"])
     saturation_dn = min(
-        2**detector.bits - 1, int(detector.full_well_electrons / detector.electrons_per_dn + detector.offset_dn)
+        2**detector.bits - 1,
+        int(detector.full_well_electrons / detector.electrons_per_dn + detector.offset_dn),
     )
     detection = DetectionParameters(
         sigma_factor=float(parameters["detection_sigma"]),

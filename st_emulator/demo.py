@@ -1,8 +1,11 @@
-"""``st-emulator demo``: a unit and an OBC as two processes over a pseudo-terminal, in real time, start to shutdown."""
+"""``st-emulator demo``: a unit and an OBC as two processes over a pseudo-terminal, in real time, start
+to shutdown.
+"""
 
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import time
@@ -16,11 +19,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from .errors import ConfigurationError
-from .journal import read_journal
+from .journal import Journal, read_journal
 from .links import LinkError
+from .listening import TelemetryListener
 from .obc import Attitude, Obc, ObcError
 from .profile import UnitProfile, load_unit
-from .protocol.enumerations import Mode
+from .protocol.enumerations import EventId, Mode
 from .report import Check, all_hold, check, show_checks, show_figures, write_json
 from .world import quaternion
 from .world.time_scales import tai_ns_from_utc
@@ -82,7 +86,9 @@ class Session:
     problem: str = ""
 
 
-def run_demo(unit: str, seconds: float, json_path: str | None, out: Path, seed: int | None, console: Console) -> int:
+def run_demo(
+    unit: str, seconds: float, json_path: str | None, out: Path, seed: int | None, console: Console
+) -> int:
     """Run the demo; exit status 0 when every check holds, else 1."""
     profile = load_unit(unit)
     try:
@@ -92,6 +98,7 @@ def run_demo(unit: str, seconds: float, json_path: str | None, out: Path, seed: 
     scenario_path = out / "scenario.toml"
     scenario_path.write_text(demo_scenario(profile, seconds, 1 if seed is None else seed), encoding="utf-8")
     link = out / "tracker"
+    shutil.rmtree(out / "telemetry", ignore_errors=True)  # of an earlier demo; a recorder never overwrites
     console.print(f"[bold]st-emulator demo[/]: {profile.unit.title}, {seconds:g} s in real time")
     command = [
         *(sys.executable, "-m", "st_emulator", "run", unit, "--quiet"),
@@ -111,7 +118,9 @@ def run_demo(unit: str, seconds: float, json_path: str | None, out: Path, seed: 
             process.kill()
             process.wait()
     if process.returncode != 0:
-        session.problem = session.problem or f"the emulator ended with status {process.returncode}: {said.strip()}"
+        session.problem = (
+            session.problem or f"the emulator ended with status {process.returncode}: {said.strip()}"
+        )
     if session.problem:
         console.print(f"[red]{session.problem}[/]")
     figures, checks, series = evaluate(profile, seconds, session, out)
@@ -129,12 +138,21 @@ def run_demo(unit: str, seconds: float, json_path: str | None, out: Path, seed: 
 
 
 def _operate(
-    process: subprocess.Popen[str], link: Path, profile: UnitProfile, seconds: float, out: Path, console: Console
+    process: subprocess.Popen[str],
+    link: Path,
+    profile: UnitProfile,
+    seconds: float,
+    out: Path,
+    console: Console,
 ) -> Session:
     """The OBC's part: every telecommand of the demo, then listening to the end."""
     session = Session()
     with Progress(
-        TextColumn("[bold]{task.fields[doing]:<34}"), BarColumn(), TimeElapsedColumn(), console=console, transient=True
+        TextColumn("[bold]{task.fields[doing]:<34}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
     ) as progress:
         task = progress.add_task("demo", total=seconds, doing="emulator starts")
         _await_link(process, link)
@@ -162,7 +180,11 @@ def _operate(
                 session.acquire_ns = obc.now_ns()
                 command("lost in space", obc.acquire)
                 obc.wait_for_mode("TRACKING", timeout_s=10)
-                phase = [(SLEW_SHARE[0], "tracking, at rest"), (SLEW_SHARE[1], "tracking, slew"), (1.0, "tracking, at rest")]
+                phase = [
+                    (SLEW_SHARE[0], "tracking, at rest"),
+                    (SLEW_SHARE[1], "tracking, slew"),
+                    (1.0, "tracking, at rest"),
+                ]
                 for share, doing in phase:
                     do(doing)
                     until = min(share * seconds, seconds - SHUTDOWN_S)
@@ -196,13 +218,17 @@ def _await_link(process: subprocess.Popen[str], link: Path) -> None:
 
 
 def _await_boot(obc: Obc, session: Session, do: Any) -> None:
-    """Wait for the first sign of life: a late listener may have missed the boot event, housekeeping comes each second."""
+    """Wait for the first sign of life: a late listener may have missed the boot event, housekeeping
+    comes each second.
+    """
     do("boot")
     obc.wait_for("hk_report", lambda telemetry: True, timeout_s=START_TIMEOUT_S)
 
 
 def _world_tai_ns(obc: Obc) -> int:
-    """The date in the unit's world now. Until its time is set the unit counts from power-on, when the scenario starts."""
+    """The date in the unit's world now. Until its time is set the unit counts from power-on, when the
+    scenario starts.
+    """
     last = obc.telemetry_since()[-1]
     return tai_ns_from_utc(START_UTC) + last.telemetry.time.to_ns() + obc.now_ns() - last.time_ns
 
@@ -217,6 +243,7 @@ class Series:
     at_rest: NDArray[np.bool_]
     error_arcsec: NDArray[np.float64]
     frame_index: NDArray[np.int64]
+    modes: list[tuple[float, Mode]]
 
 
 def evaluate(
@@ -233,7 +260,8 @@ def evaluate(
     for report in reports:
         record = truth[report.frame_index]
         errors.append(
-            quaternion.error_rotation_vector(report.q_icrs_to_sensor, record["q_icrs_to_sensor"]) * ARCSEC_PER_RAD
+            quaternion.error_rotation_vector(report.q_icrs_to_sensor, record["q_icrs_to_sensor"])
+            * ARCSEC_PER_RAD
         )
         at_rest.append(bool(np.linalg.norm(record["rate_rad_s"]) < 1e-12))
     error = np.array(errors).reshape(-1, 3)
@@ -246,7 +274,9 @@ def evaluate(
     acquired_s = None
     if first_valid is not None:
         acquired_s = (first_valid.received_ns - session.acquire_ns) * 1e-9
-    after = np.arange(len(reports)) > (reports.index(first_valid) if first_valid is not None else len(reports))
+    after = np.arange(len(reports)) > (
+        reports.index(first_valid) if first_valid is not None else len(reports)
+    )
     tracking = valid & (mode == Mode.TRACKING)
     share = float(np.mean(tracking[after])) if after.any() else None
     good = valid & rest
@@ -282,7 +312,7 @@ def evaluate(
     if profile.requirements.cross_boresight_arcsec is not None:
         target = profile.requirements.cross_boresight_arcsec
         checks.append(check("cross_boresight_arcsec_rms", cross, "<=", target, "arcsec"))
-    return figures, checks, Series(t_s, mode, valid, rest, error, index)
+    return figures, checks, Series(t_s, mode, valid, rest, error, index, [(0.0, Mode.BOOT)])
 
 
 def _draw(profile: UnitProfile, series: Series, out: Path, picture: Path) -> None:
@@ -295,7 +325,27 @@ def _draw(profile: UnitProfile, series: Series, out: Path, picture: Path) -> Non
         raise ValueError("no frame was tracked")
     journal_path = out / "journal.jsonl"
     index = int(series.frame_index[tracked[min(4, len(tracked) - 1)]])
-    record = frame_of(read_journal(journal_path), str(journal_path), index)
+    journal = read_journal(journal_path)
+    series.modes[:] = mode_changes(journal)
+    record = frame_of(journal, str(journal_path), index)
     if record is None:
         raise ValueError(f"frame {index} is not in the journal's replay")
     draw_run(profile, record, series, picture)
+
+
+def mode_changes(journal: Journal) -> list[tuple[float, Mode]]:
+    """(time since power-on in s, mode from then on), from the events that a journal's unit sent."""
+    listener = TelemetryListener()
+    for entry in journal.entries:
+        if entry.direction == "tx":
+            listener.transmitted(entry.data, entry.t_ns)
+    changes = [(0.0, Mode.BOOT)]
+    for t_ns, packet in listener.packets:
+        event = packet.fields.get("event_id")
+        if event == EventId.BOOT_COMPLETED:
+            changes.append((t_ns * 1e-9, Mode.STANDBY))
+        elif event == EventId.MODE_CHANGED:
+            changes.append((t_ns * 1e-9, Mode(packet.fields["data"]["to_mode"])))
+        elif event == EventId.SHUTDOWN_STARTED:
+            changes.append((t_ns * 1e-9, Mode.OFF))
+    return changes

@@ -3,12 +3,89 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import BaseModel
+
+from .firmware_model.modes import TRANSITIONS, Mode
+from .onboard.services import ALLOWED_MODES, allowed_modes
+from .profile import load_unit, unit_names
+from .protocol.enumerations import FunctionId
+from .protocol.exporters.icd import interface_control_document
 
 
 def schema_text(model: type[BaseModel]) -> str:
     """JSON schema of a file that ``model`` validates."""
     schema: dict[str, Any] = model.model_json_schema(by_alias=True)
     return json.dumps(schema, indent=2) + "\n"
+
+
+MODELLED = """\
+**Modelled.** The bytes of every packet and the time at which each leaves: the line's baud rate, ten bits a
+byte; the
+frame's exposure, read-out and processing time, from the work that the algorithms really did on that frame
+(pixels
+scanned, pairs compared, stars solved) times the cycles that each unit of work costs on the processor; late
+attitudes,
+dropped frames; the latency of telecommands; the non-volatile memory.
+
+**Not modelled.** Interrupt load and direct memory access of the camera in the cycle budget; cycles that
+telecommands
+take from a frame; temperature (a constant); the vendor's boot loader. Cycle costs are estimates with their
+evidence
+in the unit's table of costs; a flight program of other authors may differ by a factor of two.
+
+**Memories** (service 6): RAM, a patch area of 65536 bytes, readable and writable; NON_VOLATILE, the stored
+parameters as
+JSON text, read only; IMAGE, the captured image with its header as in service 13, read only, absent until
+an image is
+captured.
+"""
+
+
+def unit_notes() -> str:
+    """The shipped units' identifiers and lines, as a Markdown table."""
+    rows = ["| unit | APID | destination | line | frame period | exposure |", "|---|---|---|---|---|---|"]
+    for name in unit_names():
+        profile = load_unit(name)
+        wire, timing = profile.wire, profile.timing
+        rows.append(
+            f"| {name} | {wire.apid} (0x{wire.apid:X}) | {wire.source_id} | {wire.baud} baud, 8N1 | "
+            f"{timing.frame_period_ms} ms | {timing.exposure_ms:g} ms |"
+        )
+    note = "These figures are each unit file's `[wire]` and `[timing]`; a unit file of yours has its own."
+    return "\n".join(rows) + "\n\n" + note + "\n"
+
+
+def mode_table() -> list[list[str]]:
+    """Which event leads from which mode to which, then which telecommand is allowed in which modes."""
+    rows = [["mode", "event", "next mode", "meaning"]]
+    rows += [[row.mode.name, row.event.name, row.next_mode.name, row.meaning] for row in TRANSITIONS]
+    return rows
+
+
+def telecommand_modes() -> str:
+    """The modes in which each telecommand and function is allowed, as a Markdown table."""
+    rows = ["| telecommand | allowed in |", "|---|---|"]
+    rows += [f"| {name} | {_modes(modes)} |" for name, modes in ALLOWED_MODES.items() if name != "function"]
+    rows += [f"| function {function.name} | {_modes(allowed_modes(function))} |" for function in FunctionId]
+    return "\n".join(rows) + "\n"
+
+
+def _modes(modes: Sequence[Mode]) -> str:
+    return ", ".join(mode.name for mode in modes)
+
+
+def interface_control_document_text() -> str:
+    """The interface control document of the shipped units, Markdown."""
+    allowed = (
+        "**Telecommands by mode.** In BOOT and OFF the receiver is off and bytes are lost; in a mode "
+        "that is not named "
+        "below a telecommand fails its acceptance with NOT_ALLOWED_IN_MODE.\n\n"
+    )
+    return interface_control_document(
+        unit_notes=unit_notes(),
+        mode_table=mode_table(),
+        modelled=allowed + telecommand_modes() + "\n" + MODELLED,
+    )

@@ -1,7 +1,9 @@
 """The emulator: a unit, its line and its world on one virtual clock. Sans-IO: bytes and times in, bytes out.
 
-Whoever drives it (the real-time pacer, a run as fast as possible, a test, an outside simulator) calls :meth:`advance`
-with a virtual time and :meth:`receive` with bytes; transmitted bytes come by callback at the virtual time at which their
+Whoever drives it (the real-time pacer, a run as fast as possible, a test, an outside simulator) calls
+:meth:`advance`
+with a virtual time and :meth:`receive` with bytes; transmitted bytes come by callback at the virtual time
+at which their
 last bit has left the unit.
 """
 
@@ -17,13 +19,13 @@ from .configuration import scene_of, star_tables
 from .errors import ConfigurationError
 from .journal import JournalWriter
 from .line import SerialLine
+from .obc.naming import resolve_fields
 from .onboard.imaging import FrameRecord, FrameSource, Lazy, Submit
 from .onboard.parameter_store import Store, StoreContents, VolatileStore
 from .onboard.parameters import BY_NAME
 from .profile import UnitProfile
 from .protocol.errors import LocalProtocolError
 from .protocol.framing import slip_encode
-from .obc.naming import resolve_fields
 from .protocol.registry import encode_telecommand
 from .scenario import Scenario, ScenarioTelecommand
 from .unit import StarTracker
@@ -59,7 +61,8 @@ class Emulator:
         transmit: called with (bytes, virtual time) as they leave the unit.
         journal, truth: open text files, or None.
         submit: how frames are computed (see :mod:`st_emulator.onboard.imaging`).
-        on_completed: called with each processed frame, its pixels and intermediates (pictures are made of it).
+        on_completed: called with each processed frame, its pixels and intermediates (pictures are made of
+        it).
         baud: line rate; the unit's own when None.
         pace_reception: False when the link's bytes already took their time on a wire.
     """
@@ -90,7 +93,11 @@ class Emulator:
         self._apply_scenario_parameters()
         self.start_tai_ns = tai_ns_from_utc(self.scenario.start_utc)
         self.line = SerialLine(
-            self.clock, self.baud, self._transmitted, lambda data: self.unit.receive(data), pace_reception=pace_reception
+            self.clock,
+            self.baud,
+            self._transmitted,
+            lambda data: self.unit.receive(data),
+            pace_reception=pace_reception,
         )
         self.scene: SceneRenderer | None = None
         source: FrameSource
@@ -116,7 +123,8 @@ class Emulator:
         self._schedule_telecommands()
         self.unit.power_on()
 
-    # -- driving it ------------------------------------------------------------------------------------------------
+    # -- driving it
+    # ------------------------------------------------------------------------------------------------
 
     @property
     def now_ns(self) -> int:
@@ -150,7 +158,8 @@ class Emulator:
             self._journal.end(self.clock.now_ns)
         self.flush()
 
-    # -- inside ----------------------------------------------------------------------------------------------------
+    # -- inside
+    # ----------------------------------------------------------------------------------------------------
 
     def _transmitted(self, data: bytes) -> None:
         if self._journal is not None:
@@ -163,7 +172,11 @@ class Emulator:
         if isinstance(record.pixels, RenderedFrame) and self.scene is not None:
             self._truth.write(self.scene.truth(record.pixels).to_json() + "\n")
         else:
-            fields = {"frame_index": record.index, "exposure_mid_ns": record.mid_exposure_ns, "recorded": True}
+            fields = {
+                "frame_index": record.index,
+                "exposure_mid_ns": record.mid_exposure_ns,
+                "recorded": True,
+            }
             self._truth.write(json.dumps(fields) + "\n")
 
     def _apply_scenario_parameters(self) -> None:
@@ -175,11 +188,15 @@ class Emulator:
             definition = BY_NAME.get(name)
             if definition is None or definition.read_only:
                 allowed = ", ".join(item.name for item in BY_NAME.values() if not item.read_only)
-                raise ConfigurationError(f"scenario {self.scenario.name}: parameters.{name}: unknown; allowed are {allowed}")
+                raise ConfigurationError(
+                    f"scenario {self.scenario.name}: parameters.{name}: unknown; allowed are {allowed}"
+                )
             try:
                 contents.parameters[name] = definition.as_carried(value)
             except LocalProtocolError as error:
-                raise ConfigurationError(f"scenario {self.scenario.name}: parameters.{name}: {error}") from error
+                raise ConfigurationError(
+                    f"scenario {self.scenario.name}: parameters.{name}: {error}"
+                ) from error
         self._store.save(StoreContents(contents.parameters, contents.boot_count))
 
     def _schedule_telecommands(self) -> None:
@@ -188,7 +205,8 @@ class Emulator:
             self.clock.at(round(telecommand.at_s * NS_PER_S), lambda data=data: self._inject(data))  # type: ignore[misc]
 
     def _inject(self, data: bytes) -> None:
-        # Behind whatever else is due at this time, as bytes from outside are; so a replay of the journal is the same run.
+        # Behind whatever else is due at this time, as bytes from outside are; so a replay of the journal
+        # is the same run.
         self.clock.at(self.clock.now_ns, lambda: self.receive(data))
 
     def _telecommand_bytes(self, number: int, telecommand: ScenarioTelecommand) -> bytes:
@@ -204,7 +222,9 @@ class Emulator:
                 source_id=SCENARIO_SOURCE_ID,
             )
         except LocalProtocolError as error:
-            raise ConfigurationError(f"scenario {self.scenario.name}: telecommands.{number}: {error}") from error
+            raise ConfigurationError(
+                f"scenario {self.scenario.name}: telecommands.{number}: {error}"
+            ) from error
         return slip_encode(packet)
 
     def _header(self, frames: RecordedFrames | None, pace_reception: bool) -> dict[str, Any]:

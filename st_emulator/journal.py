@@ -1,8 +1,11 @@
 """The journal: the raw bytes of both directions with their virtual times, as JSON lines.
 
-First line: what was run (format, unit file, scenario, seed, stored parameters), so that a journal can be replayed alone.
-Then one line a group of bytes: ``{"t_ns": 1234, "rx": "c0..."}`` when the OBC's bytes were put on the line, ``"tx"``
-when the unit's last bit of the group has left. It holds virtual times only: the same run gives the same file at any speed.
+First line: what was run (format, unit file, scenario, seed, stored parameters), so that a journal can be
+replayed alone.
+Then one line a group of bytes: ``{"t_ns": 1234, "rx": "c0..."}`` when the OBC's bytes were put on the
+line, ``"tx"``
+when the unit's last bit of the group has left. It holds virtual times only: the same run gives the same
+file at any speed.
 """
 
 from __future__ import annotations
@@ -70,10 +73,12 @@ def read_journal(path: str | Path) -> Journal:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise ConfigurationError(f"{path}: cannot be read: {reason}; a journal is a file of JSON lines") from error
+        raise ConfigurationError(
+            f"{path}: cannot be read: {reason}; a journal is a file of JSON lines"
+        ) from error
     objects = list(_objects(path, lines))
     if not objects or objects[0].get("format") != FORMAT:
-        raise ConfigurationError(f"{path}: not a journal: the first line must say \"format\": \"{FORMAT}\"")
+        raise ConfigurationError(f'{path}: not a journal: the first line must say "format": "{FORMAT}"')
     entries = []
     end_ns = 0
     for number, item in enumerate(objects[1:], start=2):
@@ -84,7 +89,9 @@ def read_journal(path: str | Path) -> Journal:
             direction = "rx" if "rx" in item else "tx"
             entries.append(JournalEntry(int(item["t_ns"]), direction, bytes.fromhex(item[direction])))
         except (KeyError, ValueError, TypeError) as error:
-            raise ConfigurationError(f"{path}: line {number}: expected t_ns and rx or tx in hexadecimal") from error
+            raise ConfigurationError(
+                f"{path}: line {number}: expected t_ns and rx or tx in hexadecimal"
+            ) from error
     return Journal(objects[0], entries, end_ns)
 
 

@@ -1,6 +1,7 @@
 """The serial line in virtual time: ten bits a byte at the line's baud rate, both ways.
 
-A pseudo-terminal carries bytes at once whatever its baud rate, so the emulator gives them the time that they take on a
+A pseudo-terminal carries bytes at once whatever its baud rate, so the emulator gives them the time that
+they take on a
 wire. Bytes to send go out in groups of what a UART's FIFO (or a millisecond of the line) holds.
 """
 
@@ -21,7 +22,8 @@ class SerialLine:
         clock: the virtual clock.
         baud: line rate, bits per second.
         transmit: called with each group of bytes when its last bit has left.
-        receive: called with received bytes when their last bit has arrived; the group ends at each ``delimiter``, so that
+        receive: called with received bytes when their last bit has arrived; the group ends at each
+        ``delimiter``, so that
             a packet is handled when its own last byte is in, whatever follows it.
         pace_reception: False for a real port, whose bytes have already taken their time.
         delimiter: the byte that ends a frame (SLIP's END).
@@ -84,7 +86,9 @@ class SerialLine:
         self._clock.at(due_ns, complete)
 
     def flush(self) -> int:
-        """Forget what waits (a reset of the unit); the group on the wire is completed. Returns the bytes lost."""
+        """Forget what waits (a reset of the unit); the group on the wire is completed. Returns the bytes
+        lost.
+        """
         keep = self._in_flight if self._tx_busy else 0
         lost = len(self._tx) - keep
         del self._tx[keep:]

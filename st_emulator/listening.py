@@ -15,11 +15,11 @@ class TelemetryListener:
 
     packets: list[tuple[int, Telemetry]] = field(default_factory=list)
     malformed: int = 0
-    bytes: int = 0
+    received_bytes: int = 0
     _decoder: SlipDecoder = field(default_factory=lambda: SlipDecoder(MAX_TELEMETRY_BYTES))
 
     def transmitted(self, data: bytes, t_ns: int) -> None:
-        self.bytes += len(data)
+        self.received_bytes += len(data)
         for event in self._decoder.receive(data, t_ns):
             if not isinstance(event, FrameReceived):
                 self.malformed += 1

@@ -28,7 +28,8 @@ SPOT_COLOUR = "#ff5252"
 INK = "#e8eaed"
 PAPER = "#14171c"
 MOST_LABELS = 14
-STYLE = {
+MODE_ORDER = [Mode.OFF, Mode.BOOT, Mode.SELF_TEST, Mode.STANDBY, Mode.LOST_IN_SPACE, Mode.TRACKING]
+STYLE: dict[Any, Any] = {
     "figure.facecolor": PAPER,
     "axes.facecolor": "#0c0e12",
     "axes.edgecolor": "#5f6368",
@@ -53,24 +54,49 @@ def _frame_on(axes: Any, frame: Any, result: FrameResult) -> None:
     cells = pixels[:rows, :columns].reshape(rows // step, step, columns // step, step).max(axis=(1, 3))
     high = low + max(float(np.percentile(cells, 99.9)) - low, 20.0)
     extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
-    axes.imshow(np.clip((cells - low) / (high - low), 0, 1) ** 0.6, cmap="gray", extent=extent, interpolation="nearest")
+    axes.imshow(
+        np.clip((cells - low) / (high - low), 0, 1) ** 0.6,
+        cmap="gray",
+        extent=extent,
+        interpolation="nearest",
+    )
     for x0, y0, x1, y1 in result.rects:
-        axes.add_patch(Rectangle((x0 - 0.5, y0 - 0.5), x1 - x0, y1 - y0, fill=False, edgecolor=WINDOW_COLOUR, linewidth=0.8))
+        axes.add_patch(
+            Rectangle(
+                (x0 - 0.5, y0 - 0.5), x1 - x0, y1 - y0, fill=False, edgecolor=WINDOW_COLOUR, linewidth=0.8
+            )
+        )
     spots, stars = result.spots, result.stars
     radius = max(pixels.shape) / 90
-    axes.scatter(spots.x_px, spots.y_px, s=18, facecolors="none", edgecolors=SPOT_COLOUR, linewidths=0.6, label="spots")
     axes.scatter(
-        stars.x_px, stars.y_px, s=60, facecolors="none", edgecolors=STAR_COLOUR, linewidths=1.1, label="identified stars"
+        spots.x_px, spots.y_px, s=18, facecolors="none", edgecolors=SPOT_COLOUR, linewidths=0.6, label="spots"
+    )
+    axes.scatter(
+        stars.x_px,
+        stars.y_px,
+        s=60,
+        facecolors="none",
+        edgecolors=STAR_COLOUR,
+        linewidths=1.1,
+        label="identified stars",
     )
     for hip, x, y in list(zip(stars.hip, stars.x_px, stars.y_px, strict=True))[:MOST_LABELS]:
-        axes.annotate(f"HIP {hip}", (x, y), xytext=(x + radius, y - radius), fontsize=6.5, color=STAR_COLOUR)
+        left = x > 0.88 * pixels.shape[1]
+        axes.annotate(
+            f"HIP {hip}",
+            (x, y),
+            xytext=(x + (-radius if left else radius), y - radius),
+            ha="right" if left else "left",
+            fontsize=6.5,
+            color=STAR_COLOUR,
+        )
     if len(result.rects):
         axes.plot([], [], color=WINDOW_COLOUR, label="detection windows")
     axes.set_xlim(-0.5, pixels.shape[1] - 0.5)
     axes.set_ylim(pixels.shape[0] - 0.5, -0.5)
     axes.set_xlabel("column, px")
     axes.set_ylabel("row, px")
-    axes.legend(loc="upper right", fontsize=7, framealpha=0.85)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=7, ncols=3, borderaxespad=0.2)
 
 
 def _save(figure: Any, path: Path) -> None:
@@ -99,40 +125,73 @@ def draw_run(profile: UnitProfile, record: FrameRecord, series: Series, path: Pa
         figure, axes = plt.subplot_mosaic(
             [["frame"], ["cross"], ["roll"], ["mode"]],
             figsize=(10, 13),
-            height_ratios=[6, 1.7, 1.7, 1.0],
+            height_ratios=[6, 1.7, 1.7, 1.5],
             layout="constrained",
         )
         _frame_on(axes["frame"], record.pixels, record.result)
         result = record.result
         axes["frame"].set_title(
-            f"{profile.unit.title}\nframe {record.index}: {len(result.stars)} stars identified in {len(result.rects)} "
-            f"detection windows of half-width {result.window_half_width_px} px"
+            f"frame {record.index}: {len(result.stars)} stars in {len(result.rects)} detection windows, "
+            f"half-width "
+            f"{result.window_half_width_px} px",
+            loc="left",
+            fontsize=9,
         )
+        figure.suptitle(profile.unit.title)
         valid, rest = series.valid, series.at_rest
         for axis, name, colour in ((0, "x", STAR_COLOUR), (1, "y", WINDOW_COLOUR)):
-            axes["cross"].plot(series.t_s[valid], series.error_arcsec[valid, axis], ".-", ms=3, lw=0.7, color=colour, label=name)
+            axes["cross"].plot(
+                series.t_s[valid],
+                series.error_arcsec[valid, axis],
+                ".-",
+                ms=3,
+                lw=0.7,
+                color=colour,
+                label=name,
+            )
         target = profile.requirements.cross_boresight_arcsec
         if target is not None:
-            axes["cross"].axhspan(-target, target, color="#34a853", alpha=0.18, label=f"1 sigma target {target:g}")
+            axes["cross"].axhspan(
+                -target, target, color="#34a853", alpha=0.18, label=f"1 sigma target {target:g}"
+            )
         axes["cross"].set_ylabel("cross-boresight\nerror, arcsec")
-        axes["roll"].plot(series.t_s[valid], series.error_arcsec[valid, 2], ".-", ms=3, lw=0.7, color="#c58af9")
+        axes["roll"].plot(
+            series.t_s[valid], series.error_arcsec[valid, 2], ".-", ms=3, lw=0.7, color="#c58af9"
+        )
         axes["roll"].set_ylabel("roll error,\narcsec")
         for name in ("cross", "roll"):
-            _bounds(axes[name], series.error_arcsec[valid & rest][:, :2] if name == "cross" else series.error_arcsec[valid & rest][:, 2])
+            _bounds(
+                axes[name],
+                series.error_arcsec[valid & rest][:, :2]
+                if name == "cross"
+                else series.error_arcsec[valid & rest][:, 2],
+            )
             _shade_slew(axes[name], series)
             axes[name].grid(True, lw=0.4)
         axes["cross"].legend(loc="upper left", fontsize=7, ncols=4)
-        axes["mode"].step(series.t_s, series.mode, where="mid", color=INK, lw=1.2)
+        times = [t_s for t_s, _ in series.modes]
+        places = [MODE_ORDER.index(mode) for _, mode in series.modes]
+        end_s = max(times[-1], float(series.t_s.max())) + 0.5
+        axes["mode"].step([*times, end_s], [*places, places[-1]], where="post", color=INK, lw=1.4)
         lost = ~valid
-        axes["mode"].plot(series.t_s[lost], series.mode[lost], "x", color=SPOT_COLOUR, ms=5, label="no valid attitude")
-        shown = [Mode.LOST_IN_SPACE, Mode.TRACKING]
-        axes["mode"].set_yticks([int(mode) for mode in shown], [mode.name.replace("_", " ").lower() for mode in shown])
-        axes["mode"].set_ylim(2.6, 4.4)
+        axes["mode"].plot(
+            series.t_s[lost],
+            [MODE_ORDER.index(Mode(int(mode))) for mode in series.mode[lost]],
+            "x",
+            color=SPOT_COLOUR,
+            ms=5,
+            label="no valid attitude",
+        )
+        axes["mode"].set_yticks(
+            range(len(MODE_ORDER)), [mode.name.replace("_", " ").lower() for mode in MODE_ORDER]
+        )
+        axes["mode"].set_ylim(-0.4, len(MODE_ORDER) - 0.6)
+        axes["mode"].grid(True, axis="y", lw=0.4)
         axes["mode"].set_xlabel("time since power-on, s")
         _shade_slew(axes["mode"], series)
         if lost.any():
             axes["mode"].legend(loc="lower right", fontsize=7)
-        limits = (0.0, float(series.t_s.max()) + 0.5)
+        limits = (0.0, end_s)
         for name in ("cross", "roll", "mode"):
             axes[name].set_xlim(*limits)
         _save(figure, path)
@@ -147,4 +206,10 @@ def _shade_slew(axes: Any, series: Series) -> None:
     moving = np.flatnonzero(~series.at_rest)
     if len(moving):
         axes.axvspan(series.t_s[moving[0]], series.t_s[moving[-1]], color="#9aa0a6", alpha=0.22, lw=0)
-        axes.annotate("slew", (series.t_s[moving].mean(), 0.86), xycoords=("data", "axes fraction"), ha="center", fontsize=7)
+        axes.annotate(
+            "slew",
+            (series.t_s[moving].mean(), 0.86),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            fontsize=7,
+        )

@@ -1,7 +1,9 @@
 """Unit files: one TOML file describes one star tracker, validated on load.
 
-A unit is data. The shipped units lie in ``st_emulator/profiles``; a user's own unit is one more file, named by its path.
-An error names the file, the key and what is allowed. The JSON schema is written by ``st-emulator export unit-schema``.
+A unit is data. The shipped units lie in ``st_emulator/profiles``; a user's own unit is one more file,
+named by its path.
+An error names the file, the key and what is allowed. The JSON schema is written by ``st-emulator export
+unit-schema``.
 """
 
 from __future__ import annotations
@@ -67,7 +69,9 @@ class Detector(Section):
 
 
 class Exclusion(Section):
-    """Exclusion angles from the boresight and the stray light at that angle, electrons per second and pixel."""
+    """Exclusion angles from the boresight and the stray light at that angle, electrons per second and
+    pixel.
+    """
 
     sun_deg: Annotated[float, Field(ge=0, le=180)]
     moon_deg: Annotated[float, Field(ge=0, le=180)]
@@ -206,7 +210,9 @@ class UnitProfile(Section):
 
     @property
     def diagonal_deg(self) -> float:
-        return math.degrees(2 * math.atan(math.hypot(self.detector.columns, self.detector.rows) / 2 / self.focal_px))
+        return math.degrees(
+            2 * math.atan(math.hypot(self.detector.columns, self.detector.rows) / 2 / self.focal_px)
+        )
 
     @property
     def frame_period_ns(self) -> int:
@@ -233,9 +239,12 @@ def unit_text(name_or_path: str) -> tuple[str, str]:
         try:
             return str(path), path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise ConfigurationError(f"{path}: cannot be read ({error}); a unit file is a TOML text file") from error
+            raise ConfigurationError(
+                f"{path}: cannot be read ({error}); a unit file is a TOML text file"
+            ) from error
     raise ConfigurationError(
-        f"no unit '{name_or_path}': shipped are {', '.join(unit_names())}, or give the path of a unit file (.toml)"
+        f"no unit '{name_or_path}': shipped are {', '.join(unit_names())}, or give the path of a unit "
+        f"file (.toml)"
     )
 
 
@@ -262,7 +271,9 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def validate(model: type[Model], data: dict[str, Any], where: str) -> Model:
-    """Build ``model`` from ``data``; the first failure becomes one line that names file, key and what is allowed."""
+    """Build ``model`` from ``data``; the first failure becomes one line that names file, key and what is
+    allowed.
+    """
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -275,8 +286,10 @@ def validate(model: type[Model], data: dict[str, Any], where: str) -> Model:
         elif first["type"] == "extra_forbidden":
             message = "is not a known key"
         else:
-            message = f"{message[0].lower()}{message[1:]}, found {first['input']!r}" if not isinstance(
-                first["input"], dict
-            ) else message
+            message = (
+                f"{message[0].lower()}{message[1:]}, found {first['input']!r}"
+                if not isinstance(first["input"], dict)
+                else message
+            )
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise ConfigurationError(f"{where}: {key}: {message}{more}") from error

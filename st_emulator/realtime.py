@@ -1,6 +1,7 @@
 """The pacer: virtual time against the computer's clock. The only place that looks at it while a unit runs.
 
-The loop waits in ``select`` for the OBC's bytes or the next event. Frames are computed in a worker thread, started at
+The loop waits in ``select`` for the OBC's bytes or the next event. Frames are computed in a worker thread,
+started at
 their exposure, so that no telecommand waits for pixels.
 """
 
@@ -126,7 +127,7 @@ def run_paced(
                 on_wait()
                 continue
             wait_s = min(max(wait_s, 0.0), LONGEST_WAIT_S if descriptor is not None else POLL_S)
-            waited_for = [stop] if descriptor is None else [stop, descriptor]
+            waited_for: list[Any] = [stop] if descriptor is None else [stop, descriptor]
             ready, _, _ = select.select(waited_for, [], [], wait_s)
             if descriptor is None or descriptor in ready:
                 data = link.read()

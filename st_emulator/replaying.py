@@ -1,4 +1,6 @@
-"""``st-emulator replay``: a journal's received bytes to a fresh unit, and what it sends against what it sent."""
+"""``st-emulator replay``: a journal's received bytes to a fresh unit, and what it sends against what it
+sent.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,17 @@ from .scenario import Scenario
 from .world.recorded import RecordedFrames
 
 
-def emulator_of(journal: Journal, where: str, **arguments: Any) -> Emulator:
-    """A fresh emulator as the journal's first line describes it; its scenario's telecommands come from the entries."""
-    header = journal.header
+def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
+    """A fresh emulator as the journal's first line describes it; its scenario's telecommands come from
+    the entries.
+    """
+    header = source.header
     try:
         profile = validate(UnitProfile, header["unit"], where)
         scenario = validate(Scenario, header["scenario"], where)
-        store = VolatileStore(StoreContents(dict(header["store"]["parameters"]), int(header["store"]["boot_count"])))
+        store = VolatileStore(
+            StoreContents(dict(header["store"]["parameters"]), int(header["store"]["boot_count"]))
+        )
         frames = None
         if header["frames"] is not None:
             frames = RecordedFrames(

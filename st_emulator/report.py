@@ -27,7 +27,9 @@ class Check:
     holds: bool
 
 
-def check(name: str, value: float | int | None, direction: Direction, target: float | int, unit: str) -> Check:
+def check(
+    name: str, value: float | int | None, direction: Direction, target: float | int, unit: str
+) -> Check:
     """``value`` against ``target``; a figure that could not be measured (None or NaN) does not hold."""
     holds = False
     if value is not None:
@@ -59,8 +61,20 @@ def show_checks(console: Console, checks: Sequence[Check]) -> None:
     for column in ("figure", "measured", "target", "unit", ""):
         table.add_column(column)
     for item in checks:
-        value = "none" if item.value is None else f"{item.value:.6g}" if isinstance(item.value, float) else str(item.value)
-        table.add_row(item.name, value, item.target, item.unit, "[green]holds[/]" if item.holds else "[red]falls short[/]")
+        value = (
+            "none"
+            if item.value is None
+            else f"{item.value:.6g}"
+            if isinstance(item.value, float)
+            else str(item.value)
+        )
+        table.add_row(
+            item.name,
+            value,
+            item.target,
+            item.unit,
+            "[green]holds[/]" if item.holds else "[red]falls short[/]",
+        )
     console.print(table)
 
 

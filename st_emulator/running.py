@@ -42,7 +42,9 @@ class RunOptions:
 
 
 def state_folder() -> Path:
-    """Where units keep their non-volatile memories: ``$XDG_STATE_HOME/st-emulator``, else ``~/.local/state/st-emulator``."""
+    """Where units keep their non-volatile memories: ``$XDG_STATE_HOME/st-emulator``, else
+    ``~/.local/state/st-emulator``.
+    """
     root = os.environ.get("XDG_STATE_HOME", "")
     return (Path(root) if root and Path(root).is_absolute() else Path.home() / ".local/state") / "st-emulator"
 
@@ -73,7 +75,11 @@ def open_store(options: RunOptions, profile: UnitProfile) -> tuple[Store, str]:
     """The unit's non-volatile memory and what to tell the user about it."""
     if options.store == "none" or (options.store is None and options.scenario is not None):
         return VolatileStore(), "factory parameters, forgotten at the end"
-    path = Path(options.store) if options.store is not None else state_folder() / f"{profile.name}.parameters.json"
+    path = (
+        Path(options.store)
+        if options.store is not None
+        else state_folder() / f"{profile.name}.parameters.json"
+    )
     return FileStore(path, profile.name), str(path)
 
 
@@ -91,7 +97,8 @@ def run_unit(options: RunOptions) -> None:
     specification = parse_link(link_text)
     if specification.kind != "none" and speed != 1:
         raise ConfigurationError(
-            f"--speed {options.speed} with --link {link_text}: a live OBC keeps its own time, so only --speed 1 is "
+            f"--speed {options.speed} with --link {link_text}: a live OBC keeps its own time, so only "
+            f"--speed 1 is "
             "allowed; use --link none (telecommands from the scenario) for other speeds"
         )
     duration_s = options.seconds if options.seconds is not None else scenario.duration_s
@@ -127,8 +134,12 @@ def run_unit(options: RunOptions) -> None:
             pace_reception=specification.kind != "serial",
             baud=specification.baud,
         )
+        rate_hz = 1000 / profile.timing.frame_period_ms
         console.print(f"[bold]{profile.unit.title}[/]")
-        console.print(f"link {link.name}, {emulator.baud} baud, APID {profile.apid}, frames at {1000 / profile.timing.frame_period_ms:g} Hz, seed {emulator.seed}")
+        console.print(
+            f"link {link.name}, {emulator.baud} baud, APID {profile.apid}, frames at {rate_hz:g} Hz, "
+            f"seed {emulator.seed}"
+        )
         console.print(f"non-volatile memory: {store_text}")
         end = "until stopped (Ctrl-C)" if until_ns is None else f"for {duration_s:g} s of virtual time"
         console.print(f"running {end}, speed {options.speed}")
@@ -137,9 +148,7 @@ def run_unit(options: RunOptions) -> None:
                 assert until_ns is not None
                 run_unpaced(emulator, stop=stop, until_ns=until_ns)
             else:
-                run_paced(
-                    emulator, link, stop=stop, speed=speed, until_ns=until_ns, on_wait=emulator.flush
-                )
+                run_paced(emulator, link, stop=stop, speed=speed, until_ns=until_ns, on_wait=emulator.flush)
         finally:
             emulator.close()
         unit = emulator.unit

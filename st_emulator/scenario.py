@@ -1,6 +1,7 @@
 """Scenarios: a TOML file says how the unit moves, what the sky holds and which telecommands come when.
 
-Everything in a scenario happens at virtual times, so the same scenario gives the same bytes at any speed. The JSON schema
+Everything in a scenario happens at virtual times, so the same scenario gives the same bytes at any speed.
+The JSON schema
 is written by ``st-emulator export scenario-schema``. Faults and expectations will join as further tables.
 """
 
@@ -17,7 +18,9 @@ from .profile import NonNegative, Positive, Section, parse_toml, validate
 
 SCHEMA_VERSION = 1
 
-RightAscension = Annotated[float, Field(ge=0, lt=360, description="ICRS right ascension of the boresight, degrees")]
+RightAscension = Annotated[
+    float, Field(ge=0, lt=360, description="ICRS right ascension of the boresight, degrees")
+]
 Declination = Annotated[float, Field(ge=-90, le=90, description="ICRS declination of the boresight, degrees")]
 Roll = Annotated[
     float, Field(ge=-360, le=360, description="position angle of image up (-Y), degrees east of north")
@@ -41,7 +44,9 @@ class ConstantRateTrajectory(Pointing):
     """A constant angular rate in sensor axes from the pointing at power-on."""
 
     kind: Literal["constant_rate"]
-    rate_deg_s: Annotated[Vector3, Field(description="rate of the sensor to ICRS, sensor axes x, y, z, deg/s")]
+    rate_deg_s: Annotated[
+        Vector3, Field(description="rate of the sensor to ICRS, sensor axes x, y, z, deg/s")
+    ]
 
 
 class EarthFixedTrajectory(Pointing):
@@ -93,7 +98,10 @@ class OrbitTrajectory(Section):
     raan_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     argument_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     boresight: Annotated[
-        Vector3, Field(description="boresight in the orbital frame: x along velocity, y against the normal, z to nadir")
+        Vector3,
+        Field(
+            description="boresight in the orbital frame: x along velocity, y against the normal, z to nadir"
+        ),
     ] = (0.0, 0.0, -1.0)
 
 
@@ -115,11 +123,13 @@ class Sky(Section):
 
 
 class ScenarioTelecommand(Section):
-    """A telecommand that arrives on the line at a virtual time: by name and fields, or as raw bytes of the line."""
+    """A telecommand that arrives on the line at a virtual time: by name and fields, or as raw bytes of
+    the line.
+    """
 
     at_s: NonNegative
     name: str | None = None
-    fields: dict[str, Any] = {}
+    fields: dict[str, Any] = Field(default_factory=dict)
     raw_hex: str | None = None
 
     @model_validator(mode="after")
@@ -143,8 +153,8 @@ class Scenario(Section):
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
     trajectory: Trajectory = InertialTrajectory(ra_deg=83.0, dec_deg=-3.0, roll_deg=0.0)
     sky: Sky = Sky()
-    parameters: dict[str, float | int] = {}
-    telecommands: list[ScenarioTelecommand] = []
+    parameters: dict[str, float | int] = Field(default_factory=dict)
+    telecommands: list[ScenarioTelecommand] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _time_zone(self) -> Scenario:

@@ -20,7 +20,8 @@ from .world.recorded import RecordedFrames
 def solve_image(image: Path, unit: str, json_path: str | None, picture: Path | None, console: Console) -> int:
     """Solve and report; exit status 0 when there is a valid attitude, else 1.
 
-    The time of the picture is not known to the firmware, so stellar aberration is not corrected (up to 21 arcsec).
+    The time of the picture is not known to the firmware, so stellar aberration is not corrected (up to 21
+    arcsec).
     """
     profile = load_unit(unit)
     frame = RecordedFrames([image], profile.detector.columns, profile.detector.rows)[0]
@@ -60,11 +61,23 @@ def solve_image(image: Path, unit: str, json_path: str | None, picture: Path | N
         "identified": [
             {"hip": int(hip), "x_px": float(x), "y_px": float(y), "residual_arcsec": float(residual)}
             for hip, x, y, residual in zip(
-                result.stars.hip, result.stars.x_px, result.stars.y_px, result.stars.residual_arcsec, strict=True
+                result.stars.hip,
+                result.stars.x_px,
+                result.stars.y_px,
+                result.stars.residual_arcsec,
+                strict=True,
             )
         ],
     }
-    checks.append(check("cycles", cycles.total, "<=", profile.processor.clock_hz * profile.timing.frame_period_ms // 1000, "cycles"))
+    checks.append(
+        check(
+            "cycles",
+            cycles.total,
+            "<=",
+            profile.processor.clock_hz * profile.timing.frame_period_ms // 1000,
+            "cycles",
+        )
+    )
     show_figures(console, f"{image.name} by {profile.name}", figures)
     show_checks(console, checks)
     if picture is not None:

@@ -1,7 +1,10 @@
-"""One star tracker: bytes and frames in, bytes out, in virtual time. It touches no port, no file but its store, no clock.
+"""One star tracker: bytes and frames in, bytes out, in virtual time. It touches no port, no file but its
+store, no clock.
 
-Its parts: the receiver (telecommands), the transmitter (telemetry), imaging (frames in time), the parameters and the
-services. This class owns the mode (by the one table in ``firmware_model.modes``) and tells the parts of each other.
+Its parts: the receiver (telecommands), the transmitter (telemetry), imaging (frames in time), the
+parameters and the
+services. This class owns the mode (by the one table in ``firmware_model.modes``) and tells the parts of
+each other.
 """
 
 from __future__ import annotations
@@ -38,9 +41,8 @@ from .protocol.enumerations import (
     ResetCause,
     SelfTest,
 )
-from .protocol.events import EVENT_TABLE
+from .protocol.events import EVENTS
 
-EVENT_MESSAGES = {definition.id: definition.message_name for definition in EVENT_TABLE}
 SILENT = (Mode.BOOT, Mode.OFF)
 SELF_TEST_STEPS = 4
 TEMPERATURE_CDEG = 2000  # ASSUMED: 20.00 deg C; no thermal model
@@ -120,9 +122,11 @@ class StarTracker:
         self._self_test: Request | None = None
         self._self_test_frame = False
         self._time_request: Request | None = None
+        self._acquisition_request: Request | None = None
         self._housekeeping: dict[int, ScheduledEvent] = {}
 
-    # -- life ------------------------------------------------------------------------------------------------------
+    # -- life
+    # ------------------------------------------------------------------------------------------------------
 
     def power_on(self) -> None:
         """Start the unit at the present time; the frame grid runs from here."""
@@ -152,7 +156,7 @@ class StarTracker:
         self.last_reasons = Reason.NOT_ACQUIRING
         self._last_attitude = LastAttitude()
         self._blinded = False
-        self._self_test = self._time_request = None
+        self._self_test = self._time_request = self._acquisition_request = None
         self.self_test_result = SelfTest(0)
         self.time.discard_pending()
         self._powered_ns = self.clock.now_ns
@@ -161,7 +165,11 @@ class StarTracker:
 
     def _boot_done(self) -> None:
         self._follow(ModeEvent.BOOT_DONE, announce=False)
-        self.raise_event(EventId.BOOT_COMPLETED, boot_count=self.parameters.boot_count & 0xFFFF, reset_cause=int(self.reset_cause))
+        self.raise_event(
+            EventId.BOOT_COMPLETED,
+            boot_count=self.parameters.boot_count & 0xFFFF,
+            reset_cause=int(self.reset_cause),
+        )
         if self._store_fault is not None:
             self.raise_event(EventId.PARAMETER_STORE_INVALID, cause=int(self._store_fault))
         interval_ms = self.profile.wire.status_interval_ms
@@ -179,29 +187,42 @@ class StarTracker:
 
     def shut_down(self) -> None:
         """Leave for OFF: nothing is sent or processed until power is cycled."""
-        self.imaging.stop()
-        self.services.reset()
         self._life += 1
         self._set_mode(Mode.OFF)
 
-    # -- modes -----------------------------------------------------------------------------------------------------
+    # -- modes
+    # -----------------------------------------------------------------------------------------------------
 
     def _set_mode(self, mode: Mode) -> None:
         self.mode = mode
 
     def _follow(self, event: ModeEvent, *, announce: bool = True) -> None:
-        """Change the mode as the table says; an event that the table does not know in this mode changes nothing."""
+        """Change the mode as the table says; an event that the table does not know in this mode changes
+        nothing.
+        """
         target = next_mode(self.mode, event)
         if target is None or target == self.mode:
             return
         before, self.mode = self.mode, target
         if announce:
-            self.raise_event(EventId.MODE_CHANGED, from_mode=int(before), to_mode=int(target), cause=int(event))
+            self.raise_event(
+                EventId.MODE_CHANGED, from_mode=int(before), to_mode=int(target), cause=int(event)
+            )
 
     def start_acquisition(self, event: ModeEvent = ModeEvent.COMMAND_ACQUIRE) -> None:
         """Find the attitude from nothing; in TRACKING the search starts anew."""
         self.imaging.acquire()
         self._follow(event)
+
+    def await_attitude(self, request: Request) -> None:
+        """``request`` started an acquisition and completes with the first valid attitude."""
+        self._give_up_acquisition(FailureCode.SUPERSEDED)
+        self._acquisition_request = request
+
+    def _give_up_acquisition(self, code: FailureCode) -> None:
+        if self._acquisition_request is not None:
+            self._acquisition_request.failed(code)
+            self._acquisition_request = None
 
     def track_from(self, quaternion: tuple[float, float, float, float]) -> None:
         """Track from a given attitude, without lost in space."""
@@ -211,15 +232,28 @@ class StarTracker:
 
     def go_standby(self) -> None:
         self.imaging.stop()
+        self._give_up_acquisition(FailureCode.ABORTED)
         self.last_reasons = Reason.NOT_ACQUIRING
         self._follow(ModeEvent.COMMAND_STANDBY)
 
+    def go_down(self) -> None:
+        """Before a reset or a shutdown: no more frames and periodic reports, so that the line comes to
+        rest.
+        """
+        self.imaging.stop()
+        self._give_up_acquisition(FailureCode.ABORTED)
+        self.image_store.abort()
+        self.image_store.abort_capture()
+        self.services.reset()
+
     def enter_fault(self, cause: FaultCause) -> None:
         self.imaging.stop()
+        self._give_up_acquisition(FailureCode.ABORTED)
         self._follow(ModeEvent.FAULT_DETECTED)
         self.raise_event(EventId.FAULT_ENTERED, cause=int(cause))
 
-    # -- self-test -------------------------------------------------------------------------------------------------
+    # -- self-test
+    # -------------------------------------------------------------------------------------------------
 
     def start_self_test(self, request: Request) -> None:
         """Test memory, store, catalogue, sensor and processor; report progress; back to STANDBY, or FAULT."""
@@ -262,7 +296,8 @@ class StarTracker:
             request.completed()
             self._follow(ModeEvent.SELF_TEST_PASSED)
 
-    # -- the line --------------------------------------------------------------------------------------------------
+    # -- the line
+    # --------------------------------------------------------------------------------------------------
 
     def receive(self, data: bytes) -> None:
         """Bytes whose last bit has arrived now."""
@@ -279,11 +314,11 @@ class StarTracker:
         self.services.received_ns = received_ns
         self.receiver.handle(raw)
 
-    def send(self, name: str, fields: dict[str, Any]) -> bool:
+    def send(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool:
         """Send telemetry; nothing leaves in BOOT and OFF."""
         if self.mode in SILENT:
             return False
-        sent = self.transmitter.send(name, fields)
+        sent = self.transmitter.send(name, fields, destination_id)
         if not sent and not self.transmitter.dropping:
             self.transmitter.dropping = True
         elif sent and self.transmitter.dropping:
@@ -293,12 +328,13 @@ class StarTracker:
 
     def raise_event(self, event: EventId, **data: Any) -> None:
         if int(event) not in self.disabled_events:
-            self.send(EVENT_MESSAGES[event], {"event_id": int(event), "data": data})
+            self.send(EVENTS[event].message_name, {"event_id": int(event), "data": data})
 
     def handler(self, name: str) -> Handler:
         return self.services.handler(name)
 
-    # -- imaging's client ------------------------------------------------------------------------------------------
+    # -- imaging's client
+    # ------------------------------------------------------------------------------------------
 
     def frame_started(self, frame_index: int) -> None:
         self.last_frame_index = frame_index
@@ -313,7 +349,9 @@ class StarTracker:
         self.services.frame_started(frame_index)
 
     def await_time(self, request: Request) -> None:
-        """``request`` sets the time and completes when the time comes into force; an earlier one is superseded."""
+        """``request`` sets the time and completes when the time comes into force; an earlier one is
+        superseded.
+        """
         if self._time_request is not None:
             self._time_request.failed(FailureCode.SUPERSEDED)
         self._time_request = request
@@ -335,7 +373,8 @@ class StarTracker:
 
     def frame_completed(self, record: FrameRecord) -> None:
         result = record.result
-        assert result is not None and record.cycles is not None
+        assert result is not None
+        assert record.cycles is not None
         counters = self.frame_counters
         counters.frames_processed += 1
         counters.frames_valid += result.valid
@@ -345,7 +384,8 @@ class StarTracker:
         self.last_frame = record
         self.last_reasons = result.reasons
         if result.valid:
-            self._last_attitude = LastAttitude(tuple(float(value) for value in result.q_icrs_to_sensor))
+            x, y, z, w = (float(value) for value in result.q_icrs_to_sensor)
+            self._last_attitude = LastAttitude((x, y, z, w))
         self._report_attitude(record)
         if record.late_ns:
             self.raise_event(
@@ -356,6 +396,9 @@ class StarTracker:
                 late_us=microseconds(record.late_ns),
             )
         self._follow_frame(record)
+        if result.valid and self._acquisition_request is not None:
+            self._acquisition_request.completed()
+            self._acquisition_request = None
         self._on_completed(record)
 
     def _follow_frame(self, record: FrameRecord) -> None:
@@ -367,7 +410,9 @@ class StarTracker:
             self.raise_event(EventId.SENSOR_BLINDED, frame_index=record.index, background_dn=background)
         self._blinded = blinded
         if result.event is ModeEvent.ATTITUDE_ACQUIRED and self.mode == Mode.LOST_IN_SPACE:
-            self.raise_event(EventId.ATTITUDE_ACQUIRED, frame_index=record.index, stars=min(255, len(result.stars)))
+            self.raise_event(
+                EventId.ATTITUDE_ACQUIRED, frame_index=record.index, stars=min(255, len(result.stars))
+            )
         elif result.event is ModeEvent.TRACKING_LOST and self.mode == Mode.TRACKING:
             self.raise_event(EventId.TRACKING_LOST, frame_index=record.index, reasons=int(result.reasons))
         if result.event is not None:
@@ -415,7 +460,14 @@ class StarTracker:
             "frames_dropped_before": min(65535, record.dropped_before),
         }
         covariance = np.zeros((3, 3)) if result is None or not result.valid else result.covariance_rad2
-        for i, j, name in ((0, 0, "xx"), (0, 1, "xy"), (0, 2, "xz"), (1, 1, "yy"), (1, 2, "yz"), (2, 2, "zz")):
+        for i, j, name in (
+            (0, 0, "xx"),
+            (0, 1, "xy"),
+            (0, 2, "xz"),
+            (1, 1, "yy"),
+            (1, 2, "yz"),
+            (2, 2, "zz"),
+        ):
             fields[f"covariance_{name}"] = float(covariance[i, j])
         rate = None if result is None else result.rate_rad_s
         fields["rate_valid"] = int(rate is not None)
@@ -441,7 +493,8 @@ class StarTracker:
             "noise_dn": float(result.noise_dn),
         }
 
-    # -- housekeeping ----------------------------------------------------------------------------------------------
+    # -- housekeeping
+    # ----------------------------------------------------------------------------------------------
 
     @property
     def temperature_cdeg(self) -> int:

@@ -1,4 +1,4 @@
-"""Everything that takes time is done before power comes on: tables loaded, kernels compiled (both are cached)."""
+"""What takes time is done before power comes on: tables loaded, kernels compiled (both are cached)."""
 
 from __future__ import annotations
 

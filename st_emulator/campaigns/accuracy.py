@@ -20,7 +20,9 @@ MIN_STARS = 5
 
 @dataclass(frozen=True)
 class Outcome:
-    """One pointing: root mean square over its tracked frames, per axis, arcsec (nan when it was never tracked)."""
+    """One pointing: root mean square over its tracked frames, per axis, arcsec (nan when it was never
+    tracked).
+    """
 
     stars: int
     tracked: int
@@ -45,7 +47,9 @@ def look(profile: UnitProfile, seed: int, pointings: int, index: int) -> Outcome
     if not errors:
         return Outcome(stars, 0, np.nan, np.nan)
     squares = np.mean(np.square(errors), axis=0)
-    return Outcome(stars, len(errors), float(np.sqrt((squares[0] + squares[1]) / 2)), float(np.sqrt(squares[2])))
+    return Outcome(
+        stars, len(errors), float(np.sqrt((squares[0] + squares[1]) / 2)), float(np.sqrt(squares[2]))
+    )
 
 
 def run(request: CampaignRequest) -> CampaignResult:

@@ -1,4 +1,6 @@
-"""One unit's chain without its line: frames of the rendered sky through the firmware. What the campaigns share."""
+"""One unit's chain without its line: frames of the rendered sky through the firmware. What the campaigns
+share.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +34,12 @@ STARS_ONLY = Sky(sun=False, moon=False, earth=False)
 
 
 def random_pointings(n: int, seed: int) -> NDArray[np.float64]:
-    """``float64[n, 4]``: attitudes uniform over all rotations (q_icrs_to_sensor); the first n of a seed stay the same."""
+    """``float64[n, 4]``: attitudes uniform over all rotations (q_icrs_to_sensor); the first n of a seed
+    stay the same.
+    """
     rng = np.random.default_rng([seed, 0x5EED])
     q = rng.normal(size=(n, 4))
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
+    return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
 def error_arcsec(q_estimated: NDArray[np.float64], q_true: NDArray[np.float64]) -> NDArray[np.float64]:

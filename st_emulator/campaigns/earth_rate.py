@@ -22,16 +22,20 @@ ACQUIRE_S = 2.0
 
 
 def fitted_rotation_deg_s(t_s: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rate vector (deg/s, sensor axes of the middle attitude) of the constant rotation that fits ``q[n, 4]`` best.
+    """Rate vector (deg/s, sensor axes of the middle attitude) of the constant rotation that fits ``q[n,
+    4]`` best.
 
-    Least squares on the rotation vectors from the middle attitude, whose components grow linearly with time for a
+    Least squares on the rotation vectors from the middle attitude, whose components grow linearly with
+    time for a
     rotation about a fixed axis.
     """
     middle = q[len(q) // 2]
-    turns = np.array([quaternion.to_rotation_vector(quaternion.multiply(item, quaternion.conjugate(middle))) for item in q])
+    turns = np.array(
+        [quaternion.to_rotation_vector(quaternion.multiply(item, quaternion.conjugate(middle))) for item in q]
+    )
     design = np.stack([np.ones_like(t_s), t_s - t_s.mean()], axis=1)
     solution, *_ = np.linalg.lstsq(design, turns, rcond=None)
-    return np.degrees(solution[1])
+    return np.asarray(np.degrees(solution[1]))
 
 
 def run(request: CampaignRequest) -> CampaignResult:
@@ -56,7 +60,9 @@ def run(request: CampaignRequest) -> CampaignResult:
             advance()
         emulator.advance(round(end_s * NS_PER_S))
     reports = [
-        item.fields for item in listener.named("attitude_report") if item.fields["valid"] and item.fields["mode"] == 4
+        item.fields
+        for item in listener.named("attitude_report")
+        if item.fields["valid"] and item.fields["mode"] == 4
     ]
     first_ns = tai_ns_from_utc(start)
     t_s = np.array([(item["mid_exposure_time"].to_ns() - first_ns) / NS_PER_S for item in reports])

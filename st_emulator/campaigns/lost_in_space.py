@@ -22,7 +22,9 @@ ELIGIBLE_RIGHT_SHARE = 0.995
 
 @dataclass(frozen=True)
 class Outcome:
-    """One pointing: catalogue stars truly in the field, frames used (0: unsolved), right or wrong, errors in arcsec."""
+    """One pointing: catalogue stars truly in the field, frames used (0: unsolved), right or wrong,
+    errors in arcsec.
+    """
 
     stars: int
     frames: int
@@ -48,7 +50,9 @@ def look(profile: UnitProfile, seed: int, n: int, index: int) -> Outcome:
 
 
 def run(request: CampaignRequest) -> CampaignResult:
-    """``n`` pointings uniform over the sphere and roll; up to four frames each, at rest, fresh noise in each."""
+    """``n`` pointings uniform over the sphere and roll; up to four frames each, at rest, fresh noise in
+    each.
+    """
     profile = request.profile
     outcomes = request.workers.map(partial(look, profile, request.seed, request.n), range(request.n))
     eligible = [item for item in outcomes if item.stars >= ELIGIBLE_STARS]
@@ -72,7 +76,9 @@ def run(request: CampaignRequest) -> CampaignResult:
         "eligible_right": eligible_right,
         "eligible_right_share": share,
         "first_frame_share": sum(item.frames == 1 for item in right) / max(1, len(right)),
-        "cross_boresight_arcsec_median": float(np.median([item.cross_arcsec for item in right])) if right else None,
+        "cross_boresight_arcsec_median": float(np.median([item.cross_arcsec for item in right]))
+        if right
+        else None,
         "unsolved_eligible_indices": [
             index for index, item in enumerate(outcomes) if item.stars >= ELIGIBLE_STARS and not item.right
         ][:100],

@@ -49,19 +49,37 @@ def _campaigns() -> dict[str, Campaign]:
     return {
         "accuracy": Campaign("attitude error over seeded pointings", 100, accuracy.run),
         "centroids": Campaign("centroid error by magnitude, at rest", 40, single_stars.run_centroids),
-        "detection": Campaign("detection probability by magnitude, false clusters", 40, single_stars.run_detection),
+        "detection": Campaign(
+            "detection probability by magnitude, false clusters", 40, single_stars.run_detection
+        ),
         "earth-rate": Campaign("the Earth's rotation from telemetered attitudes", 200, earth_rate.run),
         "lost-in-space": Campaign("lost in space over random pointings", 1000, lost_in_space.run),
         "star-quadruples": Campaign("the ROJA1 paper's real identifications", 3, star_quadruples.run),
-        "tracking-rate": Campaign("tracking at and over the largest rate, 26 directions", 26, tracking_rate.run),
+        "tracking-rate": Campaign(
+            "tracking at and over the largest rate, 26 directions", 26, tracking_rate.run
+        ),
     }
 
 
-CAMPAIGNS = ("accuracy", "centroids", "detection", "earth-rate", "lost-in-space", "star-quadruples", "tracking-rate")
+CAMPAIGNS = (
+    "accuracy",
+    "centroids",
+    "detection",
+    "earth-rate",
+    "lost-in-space",
+    "star-quadruples",
+    "tracking-rate",
+)
 
 
 def run_campaign(
-    name: str, unit: str, n: int | None, seed: int, workers: int | None, json_path: str | None, console: Console
+    name: str,
+    unit: str,
+    n: int | None,
+    seed: int,
+    workers: int | None,
+    json_path: str | None,
+    console: Console,
 ) -> int:
     """Run a campaign; returns the exit status: 0 when every check holds, else 1."""
     if name not in CAMPAIGNS:

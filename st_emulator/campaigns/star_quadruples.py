@@ -1,4 +1,6 @@
-"""The ROJA1 paper's real identifications (table 3): the unit looks where it looked, and must name the same stars."""
+"""The ROJA1 paper's real identifications (table 3): the unit looks where it looked, and must name the
+same stars.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,11 @@ FRAMES = 4
 
 
 def pointing_of(chain: Chain, hips: tuple[int, ...]) -> tuple[NDArray[np.float64], float]:
-    """The attitude that looks at the middle of the stars with the roll that keeps them farthest from the edge.
+    """The attitude that looks at the middle of the stars with the roll that keeps them farthest from the
+    edge.
 
-    Returns (q_icrs_to_sensor, distance of the outermost star from the edge, px; negative when none holds them).
+    Returns (q_icrs_to_sensor, distance of the outermost star from the edge, px; negative when none holds
+    them).
     """
     stars = chain.scene.stars
     vectors = np.array([stars.unit_vectors[int(np.flatnonzero(stars.hip == hip)[0])] for hip in hips])

@@ -1,1 +1,3 @@
-"""The unit round its firmware: telecommands, telemetry, modes, frames in time. Sans-IO; driven by the virtual clock."""
+"""The unit round its firmware: telecommands, telemetry, modes, frames in time. Sans-IO; driven by the
+virtual clock.
+"""

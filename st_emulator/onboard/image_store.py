@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ..unit import StarTracker
 
 PART_BYTES = 1024  # ASSUMED: data of one part; with its headers it fits the largest telemetry packet
+PROGRESS_STEPS = 10
 QUEUE_AHEAD_BYTES = 1500  # a part is built when less than this waits, so attitude reports slip in between
 
 
@@ -28,6 +29,7 @@ class ImageStore:
         self._capture: Request | None = None
         self._download: Request | None = None
         self._transaction_id = 0
+        self._first_part = 0
         self._next_part = 0
         self._last_part = 0
 
@@ -35,7 +37,8 @@ class ImageStore:
         self.data = b""
         self._capture = self._download = None
 
-    # -- capture ---------------------------------------------------------------------------------------------------
+    # -- capture
+    # ---------------------------------------------------------------------------------------------------
 
     @property
     def capturing(self) -> bool:
@@ -78,7 +81,8 @@ class ImageStore:
             self._capture.failed(FailureCode.ABORTED)
             self._capture = None
 
-    # -- download --------------------------------------------------------------------------------------------------
+    # -- download
+    # --------------------------------------------------------------------------------------------------
 
     @property
     def parts(self) -> int:
@@ -93,7 +97,7 @@ class ImageStore:
         """Send ``parts`` parts from ``first_part`` (1 is the first); the request completes with the last."""
         self._download = request
         self._transaction_id = transaction_id
-        self._next_part = first_part
+        self._first_part = self._next_part = first_part
         self._last_part = min(self.parts, first_part + parts - 1)
         request.started()
         self._send_parts()
@@ -107,6 +111,15 @@ class ImageStore:
             self._download.failed(FailureCode.ABORTED)
             self._download = None
 
+    def _report_progress(self, number: int) -> None:
+        """A progress report for each tenth of the parts asked for."""
+        assert self._download is not None
+        wanted = self._last_part - self._first_part + 1
+        done = number - self._first_part + 1
+        tenth = done * PROGRESS_STEPS // wanted
+        if tenth > (done - 1) * PROGRESS_STEPS // wanted and tenth < PROGRESS_STEPS:
+            self._download.progressed(tenth)
+
     def _send_parts(self) -> None:
         if self._download is None:
             return
@@ -119,8 +132,11 @@ class ImageStore:
             elif number == 1:
                 name = "image_first_part"
             data = self.data[(number - 1) * PART_BYTES : number * PART_BYTES]
-            self._unit.send(name, {"transaction_id": self._transaction_id, "part_number": number, "data": data})
+            self._unit.send(
+                name, {"transaction_id": self._transaction_id, "part_number": number, "data": data}
+            )
             self._next_part += 1
+            self._report_progress(number)
         if self._next_part > self._last_part:
             self._download.completed()
             self._download = None

@@ -1,11 +1,15 @@
 """Frames in time: exposure, read-out, processing on a cycle budget, dropped frames.
 
-The frame grid runs from power-on with the unit's period. A frame's parameters are latched at its exposure start. Its
-processing starts when it is read out (and the processor is free) and ends when its cycles are spent; then its result
+The frame grid runs from power-on with the unit's period. A frame's parameters are latched at its exposure
+start. Its
+processing starts when it is read out (and the processor is free) and ends when its cycles are spent; then
+its result
 counts. A frame that overruns is late, and the frame whose read-out finds the processor still busy is dropped.
 
-The computation itself is started at the exposure start (beside the loop in real time) and joined when its processing
-starts in virtual time, so no telecommand waits for pixels and the results do not depend on the computer's speed.
+The computation itself is started at the exposure start (beside the loop in real time) and joined when its
+processing
+starts in virtual time, so no telecommand waits for pixels and the results do not depend on the computer's
+speed.
 """
 
 from __future__ import annotations
@@ -27,7 +31,9 @@ class FrameSource(Protocol):
     """What stands in front of the detector: the rendered sky or recorded frames."""
 
     def frame(self, frame_index: int, exposure_start_ns: int, exposure_ns: int) -> Frame | None:
-        """The pixels of an exposure (they may be rendered when first read), or None when the sensor delivers none."""
+        """The pixels of an exposure (they may be rendered when first read), or None when the sensor
+        delivers none.
+        """
 
 
 class Deferred(Protocol):
@@ -137,16 +143,15 @@ class Imaging:
         self._capture_wanted = False
         self.running = False
 
-    # -- what the unit asks for ------------------------------------------------------------------------------------
+    # -- what the unit asks for
+    # ------------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Begin the frame grid at the present time (power-on)."""
         self.running = True
         self._clock.at(self._clock.now_ns, lambda: self._tick(0))
 
-    def acquire(
-        self, state: FirmwareState | None = None, acquisition: Mode = Mode.LOST_IN_SPACE
-    ) -> None:
+    def acquire(self, state: FirmwareState | None = None, acquisition: Mode = Mode.LOST_IN_SPACE) -> None:
         """Process frames from the next exposure on; frames in flight are given up."""
         self.stop()
         self._acquisition = acquisition
@@ -171,7 +176,8 @@ class Imaging:
         """Start of the next frame period after now."""
         return (self._clock.now_ns // self.period_ns + 1) * self.period_ns
 
-    # -- the time line of a frame ----------------------------------------------------------------------------------
+    # -- the time line of a frame
+    # ----------------------------------------------------------------------------------
 
     def _tick(self, index: int) -> None:
         start_ns = self._clock.now_ns
@@ -197,7 +203,9 @@ class Imaging:
             self._join(previous)  # its cycles and its state are needed from here on
         busy_until_ns = previous.due_ns if previous is not None and previous.due_ns is not None else 0
         if self._acquisition is not None and not settings.pipelined and busy_until_ns > start_ns:
-            self._drop(record, FrameDropCause.PROCESSOR_BUSY)  # no exposure at all: the processor has no time to start it
+            self._drop(
+                record, FrameDropCause.PROCESSOR_BUSY
+            )  # no exposure at all: the processor has no time to start it
             return
         record.pixels = self._source.frame(index, start_ns, exposure_ns)
         self._client.frame_exposed(record)
@@ -219,7 +227,8 @@ class Imaging:
 
     def _compute(self, record: FrameRecord) -> None:
         frame, state, tables = record.pixels, self._state, self._tables
-        assert frame is not None and record.acquisition is not None
+        assert frame is not None
+        assert record.acquisition is not None
         context = FrameContext(
             frame_index=record.index,
             acquisition=record.acquisition,

@@ -1,4 +1,6 @@
-"""The memories of service 6: a patch area in RAM, the non-volatile parameters (read only), the captured image (read only)."""
+"""The memories of service 6: a patch area in RAM, the non-volatile parameters (read only), the captured
+image (read only).
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,7 @@ import json
 from typing import TYPE_CHECKING
 
 from ..protocol.enumerations import FailureCode, MemoryId
-from .requests import Rejected
+from .requests import RejectedError
 
 if TYPE_CHECKING:
     from ..unit import StarTracker
@@ -32,22 +34,22 @@ class Memories:
             return json.dumps(self._unit.parameters.stored_values(), sort_keys=True).encode()
         if memory_id == MemoryId.IMAGE:
             if not self._unit.image_store.data:
-                raise Rejected(FailureCode.NO_IMAGE)
+                raise RejectedError(FailureCode.NO_IMAGE)
             return self._unit.image_store.data
-        raise Rejected(FailureCode.UNKNOWN_ID, memory_id)
+        raise RejectedError(FailureCode.UNKNOWN_ID, memory_id)
 
     def read(self, memory_id: int, start: int, length: int) -> bytes:
         contents = self.contents(memory_id)
         if length == 0 or start + length > len(contents):
-            raise Rejected(FailureCode.ADDRESS, start)
+            raise RejectedError(FailureCode.ADDRESS, start)
         return bytes(contents[start : start + length])
 
     def check_writable(self, memory_id: int, start: int, length: int) -> None:
         if memory_id != MemoryId.RAM:
             self.contents(memory_id)
-            raise Rejected(FailureCode.READ_ONLY, memory_id)
+            raise RejectedError(FailureCode.READ_ONLY, memory_id)
         if length == 0 or start + length > RAM_BYTES:
-            raise Rejected(FailureCode.ADDRESS, start)
+            raise RejectedError(FailureCode.ADDRESS, start)
 
     def write(self, start: int, data: bytes) -> None:
         self._ram[start : start + len(data)] = data

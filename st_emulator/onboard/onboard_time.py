@@ -10,7 +10,9 @@ from ..protocol.packets import CucTime
 
 
 class OnboardTime:
-    """The unit's clock. ``prepare`` latches a setting, ``apply`` brings it into force (at a frame's start)."""
+    """The unit's clock. ``prepare`` latches a setting, ``apply`` brings it into force (at a frame's
+    start).
+    """
 
     def __init__(self) -> None:
         self._offset_ns = 0
@@ -29,11 +31,15 @@ class OnboardTime:
         return CucTime.from_ns(self.tai_ns(t_ns))
 
     def prepare(self, time: CucTime, at_ns: int) -> None:
-        """``time`` is the on-board time at the virtual time ``at_ns``; it comes into force with :meth:`apply`."""
+        """``time`` is the on-board time at the virtual time ``at_ns``; it comes into force with
+        :meth:`apply`.
+        """
         self._pending_offset_ns = time.to_ns() - at_ns
 
     def apply(self, t_ns: int) -> tuple[CucTime, CucTime] | None:
-        """Bring a prepared setting into force; returns (old, new) reading at ``t_ns``, or None if none waits."""
+        """Bring a prepared setting into force; returns (old, new) reading at ``t_ns``, or None if none
+        waits.
+        """
         if self._pending_offset_ns is None:
             return None
         old = self.cuc(t_ns)

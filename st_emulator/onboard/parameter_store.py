@@ -1,6 +1,7 @@
 """The non-volatile memory: one small JSON file with a checksum, replaced whole.
 
-A write goes to a new file that is flushed to the disk and then renamed over the old one, so a kill at any instant leaves
+A write goes to a new file that is flushed to the disk and then renamed over the old one, so a kill at any
+instant leaves
 either the old or the new contents, never a mixture.
 """
 
@@ -28,7 +29,9 @@ class StoreContents:
 
 
 class VolatileStore:
-    """A store that lives as long as the emulator: kept through a reset of the unit, not through a restart of the program."""
+    """A store that lives as long as the emulator: kept through a reset of the unit, not through a
+    restart of the program.
+    """
 
     def __init__(self, contents: StoreContents | None = None) -> None:
         self._contents = contents or StoreContents()
@@ -75,7 +78,9 @@ class FileStore:
 
     def save(self, contents: StoreContents) -> None:
         body = {"unit": self._unit_name, "parameters": contents.parameters, "boot_count": contents.boot_count}
-        text = json.dumps({"format": FORMAT, "crc32": _checksum(body), "contents": body}, sort_keys=True, indent=1)
+        text = json.dumps(
+            {"format": FORMAT, "crc32": _checksum(body), "contents": body}, sort_keys=True, indent=1
+        )
         temporary = self.path.with_suffix(f".{os.getpid()}.tmp")
         with temporary.open("w", encoding="utf-8") as file:
             file.write(text)

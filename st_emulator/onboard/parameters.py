@@ -8,7 +8,7 @@ from ..protocol.enumerations import FailureCode, ParameterId, StoreInvalidCause
 from ..protocol.parameters import PARAMETER_TABLE
 from .imaging import FrameSettings
 from .parameter_store import Store, StoreContents
-from .requests import Rejected
+from .requests import RejectedError
 
 DEFINITIONS = {int(definition.id): definition for definition in PARAMETER_TABLE}
 BY_NAME = {definition.name: definition for definition in PARAMETER_TABLE}
@@ -61,7 +61,10 @@ class Parameters:
             for name, value in contents.parameters.items():
                 definition = BY_NAME.get(name)
                 if definition is None or definition.read_only or definition.violation(value) is not None:
-                    contents, fault = StoreContents(boot_count=contents.boot_count), StoreInvalidCause.OUT_OF_RANGE
+                    contents, fault = (
+                        StoreContents(boot_count=contents.boot_count),
+                        StoreInvalidCause.OUT_OF_RANGE,
+                    )
                     break
         self._values = self._defaults | contents.parameters
         self._settings = None
@@ -87,7 +90,7 @@ class Parameters:
     def by_id(self, parameter_id: int) -> float | int:
         """Value of a parameter; refuses an unknown identifier."""
         if parameter_id not in DEFINITIONS:
-            raise Rejected(FailureCode.UNKNOWN_ID, parameter_id)
+            raise RejectedError(FailureCode.UNKNOWN_ID, parameter_id)
         return self[DEFINITIONS[parameter_id].name]
 
     def check(self, settings: dict[int, float | int]) -> None:
@@ -95,13 +98,13 @@ class Parameters:
         for parameter_id, value in settings.items():
             definition = DEFINITIONS.get(parameter_id)
             if definition is None:
-                raise Rejected(FailureCode.UNKNOWN_ID, parameter_id)
+                raise RejectedError(FailureCode.UNKNOWN_ID, parameter_id)
             if definition.read_only:
-                raise Rejected(FailureCode.READ_ONLY, parameter_id)
+                raise RejectedError(FailureCode.READ_ONLY, parameter_id)
             if definition.violation(value) is not None:
-                raise Rejected(FailureCode.OUT_OF_RANGE, parameter_id)
+                raise RejectedError(FailureCode.OUT_OF_RANGE, parameter_id)
             if definition.name == "exposure_us" and value > self._profile.timing.frame_period_ms * 1000:
-                raise Rejected(FailureCode.OUT_OF_RANGE, parameter_id)
+                raise RejectedError(FailureCode.OUT_OF_RANGE, parameter_id)
 
     def store(self, settings: dict[int, float | int]) -> int:
         """Set checked values and keep them; in force at the next exposure. Returns how many were set."""

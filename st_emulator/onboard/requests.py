@@ -1,4 +1,6 @@
-"""Telecommands in: framing, acceptance, verification. Each kind of bad input has its counter, event or failure report."""
+"""Telecommands in: framing, acceptance, verification. Each kind of bad input has its counter, event or
+failure report.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,13 @@ from ..protocol.packets import (
     RequestId,
     Telecommand,
 )
-from ..protocol.registry import parse_telecommand
+from ..protocol.registry import field_violation, parse_telecommand
 from .counters import LinkCounters
 
 SEQUENCE_MODULO = 1 << 14
 
 
-class Rejected(Exception):
+class RejectedError(Exception):
     """A telecommand is refused; ``code`` and ``data`` go into its failure report. Nothing was changed."""
 
     def __init__(self, code: FailureCode, data: int = 0) -> None:
@@ -35,7 +37,7 @@ class Rejected(Exception):
 class Telemeter(Protocol):
     """Sends a telemetry message by name."""
 
-    def __call__(self, name: str, fields: dict[str, Any]) -> bool: ...
+    def __call__(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool: ...
 
 
 class Request:
@@ -43,9 +45,16 @@ class Request:
 
     def __init__(self, telecommand: Telecommand, send: Telemeter) -> None:
         self.telecommand = telecommand
-        self._send = send
+        self._telemeter = send
         self._request_id = RequestId.from_packet(telecommand.raw).as_fields()
         self.open = True
+
+    def _send(self, name: str, fields: dict[str, Any]) -> None:
+        self._telemeter(name, fields, self.telecommand.source_id)
+
+    def answer(self, name: str, fields: dict[str, Any]) -> None:
+        """Send the telemetry that the telecommand asks for, to where it came from."""
+        self._send(name, fields)
 
     def accepted(self) -> None:
         if self.telecommand.ack & ACK_ACCEPTANCE:
@@ -68,19 +77,20 @@ class Request:
         """Report that the execution failed (always sent)."""
         if self.open:
             self._send(
-                "completion_failure", {"request_id": self._request_id, "failure_code": int(code), "failure_data": data}
+                "completion_failure",
+                {"request_id": self._request_id, "failure_code": int(code), "failure_data": data},
             )
         self.open = False
 
 
-#: A handler checks a telecommand (raising :class:`Rejected`) and returns what executes it.
+#: A handler checks a telecommand (raising :class:`RejectedError`) and returns what executes it.
 Handler = Callable[[Telecommand], Callable[[Request], None]]
 
 
 class RequestClient(Protocol):
     """What the receiving side needs from the unit."""
 
-    def send(self, name: str, fields: dict[str, Any]) -> bool: ...
+    def send(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool: ...
 
     def raise_event(self, event: EventId, **data: int) -> None: ...
 
@@ -114,10 +124,10 @@ class Receiver:
                 frames.append(event.data)
             elif event.reason == FramingReason.OVERSIZED:
                 self.counters.oversized_frames += 1
-                self._malformed(MalformedReason.TOO_LONG, self.counters.oversized_frames, event.length)
+                self._malformed(event.reason.malformed_reason, self.counters.oversized_frames, event.length)
             else:
                 self.counters.framing_errors += 1
-                self._malformed(MalformedReason.TOO_SHORT, self.counters.framing_errors, event.length)
+                self._malformed(event.reason.malformed_reason, self.counters.framing_errors, event.length)
         return frames
 
     def _malformed(self, reason: MalformedReason, count: int, length: int) -> None:
@@ -136,9 +146,14 @@ class Receiver:
         request = Request(parsed, self._client.send)
         try:
             execute = self._client.handler(parsed.name)(parsed)
-        except Rejected as rejection:
+            violation = field_violation(parsed)  # ranges of the message table that no handler looks at
+            if violation is not None:
+                raise RejectedError(violation.failure_code)
+        except RejectedError as rejection:
             self._count_rejection(rejection.code)
-            self._fail_acceptance(RequestId.from_packet(raw), rejection.code, rejection.data)
+            self._fail_acceptance(
+                parsed.source_id, RequestId.from_packet(raw), rejection.code, rejection.data
+            )
             return
         self.counters.tc_accepted += 1
         request.accepted()
@@ -149,7 +164,8 @@ class Receiver:
         expected = self._expected_sequence.get(source)
         received = telecommand.sequence_count
         self._expected_sequence[source] = (received + 1) % SEQUENCE_MODULO
-        if expected is not None and received != expected:
+        # A count of 0 out of turn is an OBC that started anew, not a gap.
+        if expected is not None and received not in (expected, 0):
             self.counters.sequence_gaps += 1
             self._client.raise_event(
                 EventId.TC_SEQUENCE_GAP_DETECTED, source_id=source, expected=expected, received=received
@@ -164,14 +180,21 @@ class Receiver:
         else:
             self.counters.bad_parameters += 1
 
-    def _fail_acceptance(self, request_id: RequestId, code: FailureCode, data: int) -> None:
+    def _fail_acceptance(self, source_id: int, request_id: RequestId, code: FailureCode, data: int) -> None:
         self._client.send(
             "acceptance_failure",
-            {"request_id": request_id.as_fields(), "failure_code": int(code), "failure_data": data & 0xFFFFFFFF},
+            {
+                "request_id": request_id.as_fields(),
+                "failure_code": int(code),
+                "failure_data": data & 0xFFFFFFFF,
+            },
+            source_id,
         )
 
     def _reject_malformed(self, malformed: Malformed) -> None:
-        """A packet whose checksum holds can be answered to its sender; one whose checksum fails can only be counted."""
+        """A packet whose checksum holds can be answered to its sender; one whose checksum fails can only
+        be counted.
+        """
         reason, counters, length = malformed.reason, self.counters, len(malformed.raw)
         if reason == MalformedReason.BAD_CRC:
             counters.crc_errors += 1
@@ -188,13 +211,21 @@ class Receiver:
                     "failure_code": int(FailureCode.UNKNOWN_APID),
                     "failure_data": malformed.request_id.apid,
                 },
+                _source_id(malformed.raw),
             )
         elif reason.failure_code in (FailureCode.LENGTH, FailureCode.HEADER) or malformed.request_id is None:
             counters.length_errors += 1
             self._malformed(reason, counters.length_errors, length)
         else:
             self._count_rejection(reason.failure_code)
-            self._fail_acceptance(malformed.request_id, reason.failure_code, _failure_data(malformed))
+            self._fail_acceptance(
+                _source_id(malformed.raw), malformed.request_id, reason.failure_code, _failure_data(malformed)
+            )
+
+
+def _source_id(raw: bytes) -> int:
+    """Source ID of a telecommand packet whose checksum holds."""
+    return int.from_bytes(raw[9:11], "big")
 
 
 def _failure_data(malformed: Malformed) -> int:

@@ -1,6 +1,7 @@
 """The services: what each telecommand checks and does.
 
-A handler first makes every check, raising :class:`Rejected`, and returns what executes the telecommand. So a refused
+A handler first makes every check, raising :class:`RejectedError`, and returns what executes the telecommand. So
+a refused
 telecommand has changed nothing.
 """
 
@@ -21,7 +22,7 @@ from ..protocol.enumerations import (
 )
 from ..protocol.packets import CucTime, Telecommand, crc16_ccitt
 from .imaging import microseconds
-from .requests import Handler, Rejected, Request
+from .requests import Handler, RejectedError, Request
 
 if TYPE_CHECKING:
     from ..unit import StarTracker
@@ -88,9 +89,7 @@ class Services:
         self._intervals_ms: dict[int, int] = {}
         self._periodic: dict[int, ScheduledEvent] = {}
         self._time_report_exponent: int | None = None
-        self._handlers: dict[str, Handler] = {
-            name: getattr(self, f"_{name}") for name in ALLOWED_MODES
-        }
+        self._handlers: dict[str, Handler] = {name: getattr(self, f"_{name}") for name in ALLOWED_MODES}
 
     def reset(self) -> None:
         """As after power-on: no periodic housekeeping, no time reports."""
@@ -104,7 +103,7 @@ class Services:
         """The handler of a telecommand, if the present mode allows it."""
         mode = self._unit.mode
         if mode not in ALLOWED_MODES[name]:
-            raise Rejected(FailureCode.NOT_ALLOWED_IN_MODE, int(mode))
+            raise RejectedError(FailureCode.NOT_ALLOWED_IN_MODE, int(mode))
         return self._handlers[name]
 
     def frame_started(self, frame_index: int) -> None:
@@ -113,16 +112,18 @@ class Services:
         if exponent is not None and frame_index % (1 << exponent) == 0:
             self._unit.send("time_report", self._time_fields(exponent))
 
-    # -- test ------------------------------------------------------------------------------------------------------
+    # -- test
+    # ------------------------------------------------------------------------------------------------------
 
     def _ping(self, _: Telecommand) -> Callable[[Request], None]:
         def execute(request: Request) -> None:
-            self._unit.send("pong", {})
+            request.answer("pong", {})
             request.completed()
 
         return execute
 
-    # -- housekeeping ----------------------------------------------------------------------------------------------
+    # -- housekeeping
+    # ----------------------------------------------------------------------------------------------
 
     def enable_housekeeping(self, structure_id: int, interval_ms: int | None = None) -> None:
         """Send a structure periodically from now on."""
@@ -134,14 +135,14 @@ class Services:
 
         def report() -> None:
             self._periodic[structure_id] = self._unit.later(delay_ns, report)
-            self._report_housekeeping(structure_id)
+            self._unit.send("hk_report", self._housekeeping(structure_id))
 
         self._periodic[structure_id] = self._unit.later(delay_ns, report)
 
     def _structures(self, ids: list[int]) -> list[int]:
         for structure_id in ids:
             if structure_id not in list(HousekeepingId):
-                raise Rejected(FailureCode.UNKNOWN_ID, structure_id)
+                raise RejectedError(FailureCode.UNKNOWN_ID, structure_id)
         return ids
 
     def _hk_enable(self, telecommand: Telecommand) -> Callable[[Request], None]:
@@ -172,7 +173,7 @@ class Services:
 
         def execute(request: Request) -> None:
             for structure_id in ids:
-                self._report_housekeeping(structure_id)
+                request.answer("hk_report", self._housekeeping(structure_id))
             request.completed()
 
         return execute
@@ -182,7 +183,7 @@ class Services:
         self._structures([item["structure_id"] for item in intervals])
         for item in intervals:
             if not 250 <= item["interval_ms"] <= 3_600_000:
-                raise Rejected(FailureCode.OUT_OF_RANGE, item["structure_id"])
+                raise RejectedError(FailureCode.OUT_OF_RANGE, item["structure_id"])
 
         def execute(request: Request) -> None:
             for item in intervals:
@@ -194,13 +195,13 @@ class Services:
 
         return execute
 
-    def _report_housekeeping(self, structure_id: int) -> None:
+    def _housekeeping(self, structure_id: int) -> dict[str, Any]:
         values = {
             HousekeepingId.STATUS: self._status,
             HousekeepingId.LINK: self._link,
             HousekeepingId.TIMING: self._timing,
         }[HousekeepingId(structure_id)]()
-        self._unit.send("hk_report", {"structure_id": structure_id, "values": values})
+        return {"structure_id": structure_id, "values": values}
 
     def _status(self) -> dict[str, int]:
         unit, counters = self._unit, self._unit.frame_counters
@@ -244,7 +245,15 @@ class Services:
         total = cycles.total if cycles is not None else 0
         values = {
             f"cycles_{stage}": min(by_stage.get(stage, 0), 0xFFFFFFFF)
-            for stage in ("threshold", "clustering", "centroid", "identification", "tracking", "attitude", "telemetry")
+            for stage in (
+                "threshold",
+                "clustering",
+                "centroid",
+                "identification",
+                "tracking",
+                "attitude",
+                "telemetry",
+            )
         }
         return values | {
             "frame_index": record.index if record is not None else 0,
@@ -255,12 +264,13 @@ class Services:
             "clock_hz": clock_hz,
         }
 
-    # -- events ----------------------------------------------------------------------------------------------------
+    # -- events
+    # ----------------------------------------------------------------------------------------------------
 
     def _events(self, ids: list[int]) -> list[int]:
         for event_id in ids:
             if event_id not in list(EventId):
-                raise Rejected(FailureCode.UNKNOWN_ID, event_id)
+                raise RejectedError(FailureCode.UNKNOWN_ID, event_id)
         return ids
 
     def _event_enable(self, telecommand: Telecommand) -> Callable[[Request], None]:
@@ -283,12 +293,13 @@ class Services:
 
     def _event_report_disabled(self, _: Telecommand) -> Callable[[Request], None]:
         def execute(request: Request) -> None:
-            self._unit.send("event_disabled_list", {"event_ids": sorted(self._unit.disabled_events)})
+            request.answer("event_disabled_list", {"event_ids": sorted(self._unit.disabled_events)})
             request.completed()
 
         return execute
 
-    # -- memory ----------------------------------------------------------------------------------------------------
+    # -- memory
+    # ----------------------------------------------------------------------------------------------------
 
     def _memory_load(self, telecommand: Telecommand) -> Callable[[Request], None]:
         fields, memories = telecommand.fields, self._unit.memories
@@ -296,7 +307,7 @@ class Services:
         memories.check_writable(fields["memory_id"], start, len(data))
         checksum = crc16_ccitt(data)
         if checksum != fields["checksum"]:
-            raise Rejected(FailureCode.BAD_CHECKSUM, checksum)
+            raise RejectedError(FailureCode.BAD_CHECKSUM, checksum)
 
         def execute(request: Request) -> None:
             memories.write(start, data)
@@ -307,11 +318,11 @@ class Services:
     def _memory_dump(self, telecommand: Telecommand) -> Callable[[Request], None]:
         fields = telecommand.fields
         if fields["length"] > 1024:
-            raise Rejected(FailureCode.OUT_OF_RANGE, fields["length"])
+            raise RejectedError(FailureCode.OUT_OF_RANGE, fields["length"])
         data = self._unit.memories.read(fields["memory_id"], fields["start_address"], fields["length"])
 
         def execute(request: Request) -> None:
-            self._unit.send(
+            request.answer(
                 "memory_dump_report",
                 {
                     "memory_id": fields["memory_id"],
@@ -330,33 +341,35 @@ class Services:
 
         def execute(request: Request) -> None:
             names = ("memory_id", "start_address", "length")
-            self._unit.send(
-                "memory_check_report", {name: fields[name] for name in names} | {"checksum": crc16_ccitt(data)}
+            request.answer(
+                "memory_check_report",
+                {name: fields[name] for name in names} | {"checksum": crc16_ccitt(data)},
             )
             request.completed()
 
         return execute
 
-    # -- functions -------------------------------------------------------------------------------------------------
+    # -- functions
+    # -------------------------------------------------------------------------------------------------
 
     def _function(self, telecommand: Telecommand) -> Callable[[Request], None]:
         unit, mode = self._unit, self._unit.mode
         function_id = FunctionId(telecommand.fields["function_id"])
         arguments: dict[str, Any] = telecommand.fields["arguments"]
         if mode not in allowed_modes(function_id):
-            raise Rejected(FailureCode.NOT_ALLOWED_IN_MODE, int(mode))
+            raise RejectedError(FailureCode.NOT_ALLOWED_IN_MODE, int(mode))
         match function_id:
             case FunctionId.GO_STANDBY:
                 return self._at_once(unit.go_standby)
             case FunctionId.START_ACQUISITION:
-                return self._at_once(unit.start_acquisition)
+                return self._acquisition(unit.start_acquisition)
             case FunctionId.START_SELF_TEST:
                 return unit.start_self_test
             case FunctionId.RESET:
                 return self._reset_function(arguments["kind"])
             case FunctionId.CAPTURE_IMAGE:
                 if unit.image_store.capturing:
-                    raise Rejected(FailureCode.BUSY)
+                    raise RejectedError(FailureCode.BUSY)
                 return unit.image_store.capture
             case FunctionId.DOWNLOAD_IMAGE:
                 return self._download(arguments)
@@ -372,8 +385,10 @@ class Services:
                 q = tuple(arguments[f"q_{name}"] for name in "xyzw")
                 norm = sum(value * value for value in q) ** 0.5
                 if not abs(norm - 1) <= QUATERNION_NORM_TOLERANCE:
-                    raise Rejected(FailureCode.OUT_OF_RANGE, int(function_id))
-                return self._at_once(lambda: unit.track_from((q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm)))
+                    raise RejectedError(FailureCode.OUT_OF_RANGE, int(function_id))
+                return self._acquisition(
+                    lambda: unit.track_from((q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm))
+                )
 
     @staticmethod
     def _at_once(action: Callable[[], None]) -> Callable[[Request], None]:
@@ -384,15 +399,24 @@ class Services:
 
         return execute
 
+    def _acquisition(self, begin: Callable[[], None]) -> Callable[[Request], None]:
+        def execute(request: Request) -> None:
+            request.started()
+            self._unit.await_attitude(request)
+            begin()
+
+        return execute
+
     def _reset_function(self, kind: int) -> Callable[[Request], None]:
         causes = {ResetKind.WARM: ResetCause.WARM_RESET, ResetKind.COLD: ResetCause.COLD_RESET}
         if kind not in list(ResetKind):
-            raise Rejected(FailureCode.OUT_OF_RANGE, kind)
+            raise RejectedError(FailureCode.OUT_OF_RANGE, kind)
         cause = causes[ResetKind(kind)]
 
         def execute(request: Request) -> None:
+            # The boot event takes the place of the completion report: who completes would be another life.
             request.started()
-            request.completed()
+            self._unit.go_down()
             self._when_line_idle(lambda: self._unit.reset(cause))
 
         return execute
@@ -400,6 +424,7 @@ class Services:
     def _shutdown(self, request: Request) -> None:
         request.started()
         self._unit.raise_event(EventId.SHUTDOWN_STARTED)
+        self._unit.go_down()
         request.completed()
         self._when_line_idle(self._unit.shut_down)
 
@@ -414,20 +439,21 @@ class Services:
     def _download(self, arguments: dict[str, Any]) -> Callable[[Request], None]:
         store = self._unit.image_store
         if store.downloading:
-            raise Rejected(FailureCode.BUSY)
+            raise RejectedError(FailureCode.BUSY)
         if not store.parts:
-            raise Rejected(FailureCode.NO_IMAGE)
+            raise RejectedError(FailureCode.NO_IMAGE)
         first = arguments["first_part"] or 1
         count = arguments["parts"] or store.parts - first + 1
         if first > store.parts or first + count - 1 > store.parts:
-            raise Rejected(FailureCode.OUT_OF_RANGE, store.parts)
+            raise RejectedError(FailureCode.OUT_OF_RANGE, store.parts)
         return lambda request: store.download(request, arguments["transaction_id"], first, count)
 
     def _clear_counters(self) -> None:
         self._unit.link_counters.clear()
         self._unit.frame_counters.clear()
 
-    # -- time ------------------------------------------------------------------------------------------------------
+    # -- time
+    # ------------------------------------------------------------------------------------------------------
 
     def _time_fields(self, exponent: int) -> dict[str, Any]:
         unit = self._unit
@@ -440,7 +466,7 @@ class Services:
     def _time_report_rate(self, telecommand: Telecommand) -> Callable[[Request], None]:
         exponent = telecommand.fields["rate_exponent"]
         if exponent > 8:
-            raise Rejected(FailureCode.OUT_OF_RANGE, exponent)
+            raise RejectedError(FailureCode.OUT_OF_RANGE, exponent)
 
         def execute(request: Request) -> None:
             self._time_report_exponent = exponent
@@ -459,7 +485,8 @@ class Services:
 
         return execute
 
-    # -- parameters ------------------------------------------------------------------------------------------------
+    # -- parameters
+    # ------------------------------------------------------------------------------------------------
 
     def _parameter_report(self, telecommand: Telecommand) -> Callable[[Request], None]:
         parameters = self._unit.parameters
@@ -467,7 +494,7 @@ class Services:
         values = [{"parameter_id": item, "value": parameters.by_id(item)} for item in ids]
 
         def execute(request: Request) -> None:
-            self._unit.send("parameter_values", {"values": values})
+            request.answer("parameter_values", {"values": values})
             request.completed()
 
         return execute

@@ -1,4 +1,6 @@
-"""Telemetry packets out: sequence counts, message type counters, time stamps, the queue in front of the line."""
+"""Telemetry packets out: sequence counts, message type counters, time stamps, the queue in front of the
+line.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,19 @@ from ..protocol.framing import slip_encode
 from ..protocol.registry import REGISTRY, encode_telemetry
 from .onboard_time import OnboardTime
 
-QUEUE_LIMIT_BYTES = 32768  # ASSUMED: half of a 64 KiB telemetry buffer, the other half being the image part in work
+QUEUE_LIMIT_BYTES = (
+    32768  # ASSUMED: half of a 64 KiB telemetry buffer, the other half being the image part in work
+)
 
 
 class Transmitter:
-    """Builds and queues the unit's telemetry. A packet that finds the queue full is lost and counted, never half sent."""
+    """Builds and queues the unit's telemetry. A packet that finds the queue full is lost and counted,
+    never half sent.
+    """
 
-    def __init__(self, clock: VirtualClock, line: SerialLine, time: OnboardTime, apid: int, destination_id: int) -> None:
+    def __init__(
+        self, clock: VirtualClock, line: SerialLine, time: OnboardTime, apid: int, destination_id: int
+    ) -> None:
         self._clock = clock
         self.line = line
         self._time = time
@@ -41,8 +49,12 @@ class Transmitter:
         """Take the time stamps from another clock (after a cold start)."""
         self._time = time
 
-    def send(self, name: str, fields: dict[str, Any]) -> bool:
-        """Queue the telemetry message ``name``; False when the queue was full and the packet is lost."""
+    def send(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool:
+        """Queue the telemetry message ``name``; False when the queue was full and the packet is lost.
+
+        ``destination_id``: the source of the telecommand that it answers; the unit's own default for all
+        else.
+        """
         definition = REGISTRY.by_name(name)
         kind = (definition.service, definition.subservice)
         packet = encode_telemetry(
@@ -51,7 +63,7 @@ class Transmitter:
             apid=self._apid,
             sequence_count=self._sequence_count,
             message_count=self._message_counts[kind],
-            destination_id=self._destination_id,
+            destination_id=self._destination_id if destination_id is None else destination_id,
             time=self._time.cuc(self._clock.now_ns),
             time_status=int(self._time.status),
         )
