@@ -199,6 +199,19 @@ def replay(
 
 
 @app.command()
+def prepare() -> None:
+    """Compile the kernels and build the star tables of the shipped units, so that no first run waits for them."""
+    from .profile import load_unit, unit_names
+    from .warm_up import warm_up
+
+    console = Console(stderr=True)
+    for name in unit_names():
+        with console.status(f"preparing {name} (compiled once, then kept)"):
+            warm_up(load_unit(name))
+    console.print("kernels and star tables are ready")
+
+
+@app.command()
 def units(json_path: Json = None) -> None:
     """List the shipped units."""
     from .profile import load_unit, unit_names
