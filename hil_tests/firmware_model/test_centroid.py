@@ -106,7 +106,7 @@ def test_noise_of_the_centroid(render_stars: Render, expose: Callable[..., NDArr
 
 
 def test_the_background_is_local(render_stars: Render) -> None:
-    """On a slope of the background, far more than the stars' light over the image, place and flux nearly stay."""
+    """On a slope of the background, steep against the stars' light, place and flux nearly stay."""
     places = [(50.3, 60.2), (150.3, 140.2), (250.1, 190.0)]
     signal = render_stars((220, 300), [(x, y, 2000) for x, y in places])
     signal += np.arange(220)[:, None] * 0.5 + np.arange(300)[None, :] * 0.05
