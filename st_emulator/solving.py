@@ -20,6 +20,8 @@ from .world.recorded import RecordedFrames
 def solve_image(image: Path, unit: str, json_path: str | None, picture: Path | None, console: Console) -> int:
     """Solve and report; exit status 0 when there is a valid attitude, else 1.
 
+    ``roll_deg`` is the position angle (east of north) of the image's up direction, -Y; ``rotation_of_rows_deg`` that of
+    increasing rows, +Y, which is what astrometry.net prints as "up" for pictures stored from the top row down.
     The time of the picture is not known to the firmware, so stellar aberration is not corrected (up to 21
     arcsec).
     """
@@ -43,6 +45,7 @@ def solve_image(image: Path, unit: str, json_path: str | None, picture: Path | N
             "ra_deg": ra,
             "dec_deg": dec,
             "roll_deg": roll,
+            "rotation_of_rows_deg": (roll % 360.0) - 180.0,
             "q_icrs_to_sensor": [float(value) for value in result.q_icrs_to_sensor],
         }
     else:
