@@ -168,8 +168,9 @@ def _robust_kernel(
         if left < max(least, 2):
             return False, left, 0.0
         for i in range(worst, left):
-            b[i] = b[i + 1]
-            r[i] = r[i + 1]
+            for m in range(3):
+                b[i, m] = b[i + 1, m]
+                r[i, m] = r[i + 1, m]
             s[i] = s[i + 1]
             place[i] = place[i + 1]
     for _ in range(3):
@@ -320,7 +321,9 @@ def covariance_kernel(b: FloatArray, weights: FloatArray, count: int, covariance
     c02 = xy * yz - xz * yy
     determinant = xx * c00 + xy * c01 + xz * c02
     trace = xx + yy + zz
-    covariance[:] = 0.0
+    for m in range(3):
+        for n in range(3):
+            covariance[m, n] = 0.0
     # The two large eigenvalues are each about half of the trace, so determinant / trace^3 is about an
     # eighth of the ratio of the smallest to the largest.
     if not determinant > 0.125 * DEGENERATE_INFORMATION_RATIO * trace**3:

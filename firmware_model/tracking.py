@@ -304,7 +304,8 @@ def _verify_kernel(
     trial = np.empty(stars, np.int32)
     owner = np.empty(max(spots, 1), np.int32)
     distance = np.empty(stars)
-    chosen[:] = -1
+    for star in range(stars):
+        chosen[star] = -1
     found = 0
     for star in range(stars):
         rank = 0
@@ -341,8 +342,10 @@ def _verify_kernel(
             counts[1] += 1
             shift_x = spot_x[pivot_spot] - x[pivot]
             shift_y = spot_y[pivot_spot] - y[pivot]
-            trial[:] = -1
-            owner[:] = -1
+            for star in range(stars):
+                trial[star] = -1
+            for spot in range(spots):
+                owner[spot] = -1
             trial[pivot] = pivot_spot
             owner[pivot_spot] = pivot
             verified = 1
@@ -383,6 +386,7 @@ def _verify_kernel(
                 else:
                     owner[spot] = star
             if verified >= enough:
-                chosen[:] = trial
+                for star in range(stars):
+                    chosen[star] = trial[star]
                 return pivot, verified, found
     return -1, 0, found

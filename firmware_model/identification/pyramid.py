@@ -342,7 +342,8 @@ def _pyramid_kernel(
                             )
                             if fourth < 0:
                                 continue
-                            trial_index[:] = -1
+                            for spot in range(all_spots):
+                                trial_index[spot] = -1
                             trial_index[apex] = star_apex
                             trial_index[left] = star_left
                             trial_index[right] = star_right
@@ -395,8 +396,10 @@ def _pyramid_kernel(
                                     continue
                             best_matched, best_expected, best_seen = matched, expected, seen
                             best_chance = chance
-                            star_index[:] = trial_index
-                            q[:] = trial_q
+                            for spot in range(all_spots):
+                                star_index[spot] = trial_index[spot]
+                            for m in range(4):
+                                q[m] = trial_q[m]
                             if chance <= certain_false_solutions:
                                 certain = True
                                 break

@@ -157,6 +157,18 @@ def refine_kernel(
 
 
 @numba.njit(cache=True, nogil=True)
+def sort_kernel(values: FloatArray, count: int) -> None:
+    """Sort the first `count` values in place, by insertion: there are few."""
+    for i in range(1, count):
+        value = values[i]
+        place = i
+        while place > 0 and values[place - 1] > value:
+            values[place] = values[place - 1]
+            place -= 1
+        values[place] = value
+
+
+@numba.njit(cache=True, nogil=True)
 def expected_kernel(
     q: FloatArray,
     normals: FloatArray,
@@ -182,7 +194,7 @@ def expected_kernel(
             matched += 1
     if matched == 0:
         return 0, 0
-    sorted_mag[:matched].sort()
+    sort_kernel(sorted_mag, matched)
     limit = sorted_mag[(matched - 1) // 2]
     smallest_z = 1.0
     for i in range(4):
@@ -256,7 +268,8 @@ def odd_brightness_kernel(
     counts[MAGNITUDES_COMPARED] += matched
     if matched == 0:
         return 0
-    ascending = np.sort(offset[:matched])
+    ascending = offset.copy()
+    sort_kernel(ascending, matched)
     middle = 0.5 * (ascending[(matched - 1) // 2] + ascending[matched // 2])
     odd = 0
     for i in range(matched):
