@@ -72,6 +72,16 @@ def run(
             "--frames", metavar="DIR", help="Recorded frames (PNG, TIFF, FITS) instead of the rendered sky."
         ),
     ] = None,
+    hold: Annotated[
+        int,
+        typer.Option(
+            "--hold",
+            metavar="N",
+            min=1,
+            help="Exposures for which each recorded frame stays; 1 for a sequence taken at the unit's rate. "
+            "Single frames of different places need time to be lost and found again.",
+        ),
+    ] = 8,
     journal: Annotated[
         Path | None,
         typer.Option(
@@ -112,6 +122,7 @@ def run(
             speed=speed,
             seed=seed,
             frames=frames,
+            hold=hold,
             journal=journal,
             truth=truth,
             seconds=seconds,

@@ -37,15 +37,16 @@ SCENARIO_SOURCE_ID = 0x5C  # the source of a scenario's own telecommands, apart 
 
 
 class RecordedSource:
-    """Recorded frames in front of the detector: one an exposure, over and over."""
+    """Recorded frames in front of the detector, each for ``hold`` exposures, over and over."""
 
-    def __init__(self, frames: RecordedFrames) -> None:
+    def __init__(self, frames: RecordedFrames, hold: int) -> None:
         self._frames = frames
-        self._next = 0
+        self._hold = hold
+        self._exposures = 0
 
     def frame(self, frame_index: int, exposure_start_ns: int, exposure_ns: int) -> Any:
-        frame = self._frames[self._next % len(self._frames)]
-        self._next += 1
+        frame = self._frames[self._exposures // self._hold % len(self._frames)]
+        self._exposures += 1
         return frame
 
 
@@ -57,6 +58,7 @@ class Emulator:
         scenario: trajectory, sky, telecommands.
         seed: noise and random events; the scenario's when None.
         frames: recorded frames instead of the rendered sky.
+        hold: so many exposures show the same recorded frame before the next takes its place.
         store: the unit's non-volatile memory; factory values when None.
         transmit: called with (bytes, virtual time) as they leave the unit.
         journal, truth: open text files, or None.
@@ -74,6 +76,7 @@ class Emulator:
         *,
         seed: int | None = None,
         frames: RecordedFrames | None = None,
+        hold: int = 1,
         store: Store | None = None,
         transmit: Callable[[bytes, int], None] = lambda data, t_ns: None,
         journal: TextIO | None = None,
@@ -89,6 +92,7 @@ class Emulator:
         self.baud = baud or profile.wire.baud
         self.clock = VirtualClock()
         self._external_transmit = transmit
+        self._hold = hold
         self._store = store if store is not None else VolatileStore()
         self._apply_scenario_parameters()
         self.start_tai_ns = tai_ns_from_utc(self.scenario.start_utc)
@@ -102,7 +106,7 @@ class Emulator:
         self.scene: SceneRenderer | None = None
         source: FrameSource
         if frames is not None:
-            source = RecordedSource(frames)
+            source = RecordedSource(frames, hold)
         else:
             source = self.scene = scene_of(profile, self.scenario, self.seed, self.start_tai_ns)
         self.unit = StarTracker(
@@ -236,5 +240,6 @@ class Emulator:
             "baud": self.baud,
             "pace_reception": pace_reception,
             "frames": None if frames is None else [str(Path(name)) for name in frames.names],
+            "hold": self._hold,
             "store": {"parameters": contents.parameters, "boot_count": contents.boot_count},
         }

@@ -45,6 +45,7 @@ def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
             scenario,
             seed=int(header["seed"]),
             frames=frames,
+            hold=int(header.get("hold", 1)),
             store=store,
             pace_reception=bool(header["pace_reception"]),
             baud=int(header["baud"]),

@@ -34,6 +34,7 @@ class RunOptions:
     speed: str = "1"
     seed: int | None = None
     frames: Path | None = None
+    hold: int = 8
     journal: Path | None = None
     truth: Path | None = None
     seconds: float | None = None
@@ -126,6 +127,7 @@ def run_unit(options: RunOptions) -> None:
             scenario,
             seed=options.seed,
             frames=frames,
+            hold=options.hold,
             store=store,
             transmit=lambda data, t_ns: (link.write(data), None)[1],
             journal=journal,
