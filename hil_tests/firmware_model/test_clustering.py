@@ -197,6 +197,15 @@ def test_frame_statistics_of_noise_with_stars_and_a_gradient(sigma: float) -> No
     assert background == pytest.approx(200 + 1.5 * sigma, abs=0.25 * sigma + 0.05)
 
 
+def test_frame_statistics_of_a_frame_clipped_at_zero() -> None:
+    """Seven pixels of ten at 0 DN: the noise is what is left of it, not nothing."""
+    rng = np.random.default_rng(8)
+    clipped = np.clip(np.rint(rng.normal(-5.0, 10.0, (480, 640))), 0, None)
+    assert np.mean(clipped == 0) > 0.6
+    _, noise, _ = frame_statistics(clipped.astype(np.uint16))
+    assert noise == pytest.approx(clipped.std(), rel=0.1)
+
+
 @pytest.mark.parametrize("shape", [(1, 2), (2, 2), (3, 5), (1, 400), (400, 2)])
 def test_frame_statistics_of_small_frames(shape: tuple[int, int]) -> None:
     background, noise, samples = frame_statistics(np.full(shape, 123, np.uint16))
