@@ -45,7 +45,7 @@ def frame_statistics(image: NDArray[np.uint16]) -> tuple[float, float, int]:
         values[i] = value
         differences[i] = value - float(image[row, column + distance])
     passes = 1
-    sigma = max(1.2533 * np.mean(np.abs(differences)), 1.0)
+    sigma = max(1.2533 * float(np.mean(np.abs(differences))), 1.0)
     for _ in range(12):
         limit = 4.0 * sigma
         squares = 0.0
@@ -60,7 +60,7 @@ def frame_statistics(image: NDArray[np.uint16]) -> tuple[float, float, int]:
         if abs(sigma - before) <= 0.01 * before or sigma == 0.0:
             break
     noise = sigma / math.sqrt(2.0)
-    median = np.median(values)
+    median = float(np.median(values))
     limit = 3.0 * max(noise, 0.5)
     level = 0.0
     kept = 0
