@@ -19,7 +19,7 @@ from .configuration import scene_of, star_tables
 from .errors import ConfigurationError
 from .journal import JournalWriter
 from .line import SerialLine
-from .obc.naming import resolve_fields
+from .naming import resolve_fields
 from .onboard.imaging import FrameRecord, FrameSource, Lazy, Submit
 from .onboard.parameter_store import Store, StoreContents, VolatileStore
 from .onboard.parameters import BY_NAME

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from st_emulator.naming import member, name_of, parameter_name
 from st_emulator.protocol.enumerations import (
     EventId,
     FunctionId,
@@ -21,13 +22,12 @@ from st_emulator.protocol.enumerations import (
 from st_emulator.protocol.packets import CucTime, Telemetry, crc16_ccitt
 from st_emulator.protocol.parameters import PARAMETER_TABLE
 from st_emulator.protocol.services.memory import MAX_DUMP_BYTES, MAX_LOAD_BYTES
+from st_emulator.tai import tai_ns_from_utc
 
 from .errors import DownloadError, TelecommandTimeout, TelemetryTimeout, VerificationError
 from .exchange import DEFAULT_TIMEOUT_S, Exchange
 from .image import Image, ImageAssembler
-from .naming import member, name_of, parameter_name
 from .observed import Event
-from .tai import tai_ns_from_utc
 from .verification import NS_PER_S, State, Verification
 
 DOWNLOAD_ROUNDS = 5

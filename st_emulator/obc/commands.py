@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from st_emulator.naming import field_text, member, name_of, parameter_name
 from st_emulator.protocol.enumerations import (
     EventId,
     FailureCode,
@@ -28,13 +29,12 @@ from st_emulator.protocol.housekeeping import HOUSEKEEPING
 from st_emulator.protocol.parameters import PARAMETERS
 from st_emulator.protocol.registry import REGISTRY
 from st_emulator.report import Check
+from st_emulator.tai import tai_ns_from_utc
 
 from .client import Obc
 from .errors import VerificationError
 from .expectations import FORMS, OPERATORS, parse_expectation
 from .image_file import IMAGE_SUFFIXES, write_image
-from .naming import field_text, member, name_of, parameter_name
-from .tai import tai_ns_from_utc
 from .verification import Verification
 from .watching import attitude_line, watch
 

@@ -11,13 +11,13 @@ from types import TracebackType
 from typing import Any, Self
 
 from st_emulator.links import Link, open_link
+from st_emulator.naming import member, name_of
 from st_emulator.protocol.enumerations import EventId
 from st_emulator.protocol.framing import slip_encode
 from st_emulator.protocol.packets import Telemetry
 
 from .attitude import Attitude
 from .errors import TelecommandTimeout, TelemetryTimeout, VerificationError
-from .naming import member, name_of
 from .obc_protocol import Counters, ObcProtocol, TelemetryReceived
 from .observed import EVENT_REPORTS, Event, ObservedUnit
 from .reading import LiveReader, Reader

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from st_emulator.naming import resolve_fields, telecommand_label
 from st_emulator.protocol.enumerations import FramingReason, FunctionId, MalformedReason
 from st_emulator.protocol.framing import END, FrameDiscarded, FrameReceived, SlipDecoder, slip_encode
 from st_emulator.protocol.packets import (
@@ -25,7 +26,6 @@ from st_emulator.protocol.packets import (
 )
 from st_emulator.protocol.registry import encode_telecommand, parse_telemetry
 
-from .naming import resolve_fields, telecommand_label
 from .verification import State, Verification, VerificationTracker, is_verification
 
 DEFAULT_APID = 0x64

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from st_emulator.naming import event_text, name_of
 from st_emulator.protocol.enumerations import EventId, EventSeverity, HousekeepingId, Mode
 from st_emulator.protocol.packets import CucTime, Telemetry
 
 from .attitude import Attitude
-from .naming import event_text, name_of
 
 KEPT_EVENTS = 10_000
 KEPT_ATTITUDES = 100_000  # seven hours at 4 Hz

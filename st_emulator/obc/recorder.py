@@ -17,13 +17,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
 
+from st_emulator.naming import name_of, plain
 from st_emulator.protocol.enumerations import EventId, HousekeepingId
 from st_emulator.protocol.packets import Malformed, Telemetry
 from st_emulator.protocol.registry import parse_telemetry
 
 from .errors import RecordingError
 from .image import PART_NAMES
-from .naming import name_of, plain
 from .obc_protocol import FrameLost, MalformedReceived, ObcEvent, SequenceGapDetected, VerificationUpdated
 from .observed import EVENT_REPORTS
 from .verification import Verification

@@ -6,12 +6,12 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from st_emulator.naming import name_of
 from st_emulator.protocol.enumerations import Mode, Reason, TimeStatus
+from st_emulator.tai import seconds, utc_from_cuc
 
 from .attitude import Attitude
 from .client import Obc
-from .naming import name_of
-from .tai import seconds, utc_from_cuc
 
 REFRESH_S = 0.25
 SHOWN_EVENTS = 6

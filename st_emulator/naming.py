@@ -10,13 +10,12 @@ from datetime import datetime
 from enum import IntEnum, IntFlag
 from typing import Any
 
-from st_emulator.protocol.enumerations import EventId, FunctionId, HousekeepingId, ParameterId
-from st_emulator.protocol.errors import LocalProtocolError
-from st_emulator.protocol.events import EVENTS
-from st_emulator.protocol.fields import Data, Element, Field, Repeated, Switched
-from st_emulator.protocol.packets import CucTime
-from st_emulator.protocol.registry import REGISTRY
-
+from .protocol.enumerations import EventId, FunctionId, HousekeepingId, ParameterId
+from .protocol.errors import LocalProtocolError
+from .protocol.events import EVENTS
+from .protocol.fields import Data, Element, Field, Repeated, Switched
+from .protocol.packets import CucTime
+from .protocol.registry import REGISTRY
 from .tai import tai_ns_from_utc
 
 
