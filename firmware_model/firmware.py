@@ -108,6 +108,8 @@ def _find(
     used = spots.brightest(configuration.max_spots)
     b_vectors = configuration.geometry.unit_vectors(used.x_px, used.y_px)
     work.add("unit_vectors", len(used))
+    if configuration.geometry.distorted:
+        work.add("distortions_removed", len(used))
     identification, identification_work = configuration.identify(
         b_vectors, used.magnitude, tables.catalogue, tables.pairs, configuration.identification
     )
@@ -179,6 +181,8 @@ def _track(
         return replace(blank, reasons=Reason.BLINDED)
     b_vectors = geometry.unit_vectors(spots.x_px, spots.y_px)
     work.add("unit_vectors", len(spots))
+    if geometry.distorted:
+        work.add("distortions_removed", len(spots))
     verification, verification_work = verify_by_pivot(plan, found, b_vectors, tables.catalogue, parameters)
     work += verification_work
     if verification.pivot < 0:
