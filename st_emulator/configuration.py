@@ -50,34 +50,41 @@ TABLES_LAYOUT = 1  # raise when the contents of the cached tables change
 
 
 def camera_model(profile: UnitProfile) -> CameraModel:
-    """The true camera of a unit."""
+    """The true camera of a unit.
+
+    Raises:
+        ConfigurationError: figures that fit the unit file's schema but make no camera.
+    """
     optics, detector = profile.optics, profile.detector
     cx_px, cy_px = profile.principal_point_px
-    return CameraModel(
-        width_px=detector.columns,
-        height_px=detector.rows,
-        focal_px=profile.focal_px,
-        psf_sigma_px=optics.psf_sigma_px,
-        electrons_per_s_mag0=profile.electrons_per_s_mag0,
-        electrons_per_dn=detector.electrons_per_dn,
-        full_well_electrons=detector.full_well_electrons,
-        read_noise_electrons=detector.read_noise_electrons,
-        bits=detector.bits,
-        offset_dn=detector.offset_dn,
-        exposure_ns=round(profile.timing.exposure_ms * 1_000_000),
-        dark_electrons_s=detector.dark_electrons_s,
-        dark_nonuniformity=detector.dark_nonuniformity,
-        stray_electrons_s=detector.stray_electrons_s,
-        prnu=detector.prnu,
-        hot_pixel_fraction=detector.hot_pixel_fraction,
-        hot_pixel_electrons_s=detector.hot_pixel_electrons_s,
-        k1=optics.k1,
-        k2=optics.k2,
-        p1=optics.p1,
-        p2=optics.p2,
-        cx_px=cx_px,
-        cy_px=cy_px,
-    )
+    try:
+        return CameraModel(
+            width_px=detector.columns,
+            height_px=detector.rows,
+            focal_px=profile.focal_px,
+            psf_sigma_px=optics.psf_sigma_px,
+            electrons_per_s_mag0=profile.electrons_per_s_mag0,
+            electrons_per_dn=detector.electrons_per_dn,
+            full_well_electrons=detector.full_well_electrons,
+            read_noise_electrons=detector.read_noise_electrons,
+            bits=detector.bits,
+            offset_dn=detector.offset_dn,
+            exposure_ns=round(profile.timing.exposure_ms * 1_000_000),
+            dark_electrons_s=detector.dark_electrons_s,
+            dark_nonuniformity=detector.dark_nonuniformity,
+            stray_electrons_s=detector.stray_electrons_s,
+            prnu=detector.prnu,
+            hot_pixel_fraction=detector.hot_pixel_fraction,
+            hot_pixel_electrons_s=detector.hot_pixel_electrons_s,
+            k1=optics.k1,
+            k2=optics.k2,
+            p1=optics.p1,
+            p2=optics.p2,
+            cx_px=cx_px,
+            cy_px=cy_px,
+        )
+    except ValueError as error:
+        raise ConfigurationError(f"{profile.origin or profile.name}: {error}") from error
 
 
 def camera_geometry(profile: UnitProfile) -> CameraGeometry:
@@ -165,9 +172,10 @@ def scene_of(profile: UnitProfile, scenario: Scenario, seed: int, start_tai_ns: 
     """
     sky = scenario.sky
     brightest, faintest = sky.false_spot_magnitudes
+    camera = camera_model(profile)
     try:
         return SceneRenderer(
-            camera_model(profile),
+            camera,
             sky_of(start_tai_ns),
             trajectory_of(scenario, start_tai_ns),
             seed=seed,
@@ -177,7 +185,7 @@ def scene_of(profile: UnitProfile, scenario: Scenario, seed: int, start_tai_ns: 
             false_spots=FalseSpots(sky.false_spots, brightest, faintest),
         )
     except ValueError as error:
-        raise ConfigurationError(f"scenario {scenario.name}: {error}") from error
+        raise ConfigurationError(f"{scenario.where}: {error}") from error
 
 
 def processor_profile(profile: UnitProfile) -> ProcessorProfile:
@@ -189,7 +197,9 @@ def processor_profile(profile: UnitProfile) -> ProcessorProfile:
     try:
         return ProcessorProfile.load(profile.processor.cycle_costs).with_clock(profile.processor.clock_hz)
     except ProcessorProfileError as error:
-        raise ConfigurationError(f"unit {profile.name}: processor.cycle_costs: {error}") from error
+        raise ConfigurationError(
+            f"{profile.origin or profile.name}: processor.cycle_costs: {error}"
+        ) from error
 
 
 @lru_cache(maxsize=4)

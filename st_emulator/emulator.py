@@ -14,26 +14,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
-from .clock import NS_PER_S, VirtualClock
+from .clock import VirtualClock
 from .configuration import scene_of, star_tables
-from .errors import ConfigurationError
 from .journal import JournalWriter
 from .line import SerialLine
-from .naming import resolve_fields
 from .onboard.imaging import FrameRecord, FrameSource, Lazy, Submit
 from .onboard.parameter_store import Store, StoreContents, VolatileStore
-from .onboard.parameters import BY_NAME
 from .profile import UnitProfile
-from .protocol.errors import LocalProtocolError
-from .protocol.framing import slip_encode
-from .protocol.registry import encode_telecommand
-from .scenario import Scenario, ScenarioTelecommand
+from .scenario import Scenario
+from .scenario_inputs import parameters_of, telecommands_of
 from .unit import StarTracker
 from .world.recorded import RecordedFrames
 from .world.scene import RenderedFrame, SceneRenderer
 from .world.time_scales import tai_ns_from_utc
-
-SCENARIO_SOURCE_ID = 0x5C  # the source of a scenario's own telecommands, apart from any OBC's
 
 
 class RecordedSource:
@@ -188,58 +181,31 @@ class Emulator:
         if not self.scenario.parameters:
             return
         contents, _ = self._store.load()
-        for name, value in self.scenario.parameters.items():
-            definition = BY_NAME.get(name)
-            if definition is None or definition.read_only:
-                allowed = ", ".join(item.name for item in BY_NAME.values() if not item.read_only)
-                raise ConfigurationError(
-                    f"scenario {self.scenario.name}: parameters.{name}: unknown; allowed are {allowed}"
-                )
-            try:
-                contents.parameters[name] = definition.as_carried(value)
-            except LocalProtocolError as error:
-                raise ConfigurationError(
-                    f"scenario {self.scenario.name}: parameters.{name}: {error}"
-                ) from error
+        contents.parameters.update(parameters_of(self.scenario))
         self._store.save(StoreContents(contents.parameters, contents.boot_count))
 
     def _schedule_telecommands(self) -> None:
-        for number, telecommand in enumerate(self.scenario.telecommands):
-            data = self._telecommand_bytes(number, telecommand)
-            self.clock.at(round(telecommand.at_s * NS_PER_S), lambda data=data: self._inject(data))  # type: ignore[misc]
+        for t_ns, data in telecommands_of(self.scenario, self.profile.apid):
+            self.clock.at(t_ns, lambda data=data: self._inject(data))  # type: ignore[misc]
 
     def _inject(self, data: bytes) -> None:
         # Behind whatever else is due at this time, as bytes from outside are; so a replay of the journal
         # is the same run.
         self.clock.at(self.clock.now_ns, lambda: self.receive(data))
 
-    def _telecommand_bytes(self, number: int, telecommand: ScenarioTelecommand) -> bytes:
-        if telecommand.raw_hex is not None:
-            return bytes.fromhex(telecommand.raw_hex)
-        assert telecommand.name is not None
-        try:
-            packet = encode_telecommand(
-                telecommand.name,
-                resolve_fields(telecommand.name, telecommand.fields),
-                apid=self.profile.apid,
-                sequence_count=number & 0x3FFF,
-                source_id=SCENARIO_SOURCE_ID,
-            )
-        except LocalProtocolError as error:
-            raise ConfigurationError(
-                f"scenario {self.scenario.name}: telecommands.{number}: {error}"
-            ) from error
-        return slip_encode(packet)
-
     def _header(self, frames: RecordedFrames | None, pace_reception: bool) -> dict[str, Any]:
-        contents, _ = self._store.load()
+        contents, fault = self._store.load()
         return {
             "unit": self.profile.model_dump(mode="json"),
             "scenario": self.scenario.model_dump(mode="json", by_alias=True),
             "seed": self.seed,
             "baud": self.baud,
             "pace_reception": pace_reception,
-            "frames": None if frames is None else [str(Path(name)) for name in frames.names],
+            "frames": None if frames is None else [str(Path(name).absolute()) for name in frames.names],
             "hold": self._hold,
-            "store": {"parameters": contents.parameters, "boot_count": contents.boot_count},
+            "store": {
+                "parameters": contents.parameters,
+                "boot_count": contents.boot_count,
+                "fault": None if fault is None else int(fault),
+            },
         }

@@ -9,25 +9,18 @@ unit-schema``.
 from __future__ import annotations
 
 import math
-import tomllib
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from .errors import ConfigurationError
+from .validation import Section, parse_toml, read_text, validate
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-Model = TypeVar("Model", bound=BaseModel)
-
-
-class Section(BaseModel):
-    """A table of a unit or scenario file: unknown keys are errors, so that a typing slip is never ignored."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class UnitIdentity(Section):
@@ -81,7 +74,7 @@ class Exclusion(Section):
 
 class Timing(Section):
     frame_period_ms: Annotated[int, Field(ge=10, le=10000)]
-    exposure_ms: Positive
+    exposure_ms: Annotated[float, Field(ge=0.1, le=250)]  # the range of parameter exposure_us
     readout_ms: Positive
     pipelined: bool
     boot_ms: Annotated[int, Field(ge=0, le=60000)]
@@ -236,12 +229,7 @@ def unit_text(name_or_path: str) -> tuple[str, str]:
         return str(resource), resource.read_text(encoding="utf-8")
     path = Path(name_or_path)
     if path.suffix == ".toml" or path.exists():
-        try:
-            return str(path), path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigurationError(
-                f"{path}: cannot be read ({error}); a unit file is a TOML text file"
-            ) from error
+        return str(path), read_text(path, "a unit file")
     raise ConfigurationError(
         f"no unit '{name_or_path}': shipped are {', '.join(unit_names())}, or give the path of a unit "
         f"file (.toml)"
@@ -261,35 +249,3 @@ def load_unit(name_or_path: str) -> UnitProfile:
 def parse_unit(text: str, where: str) -> UnitProfile:
     """Validate the TOML text of a unit; ``where`` names it in errors."""
     return validate(UnitProfile, parse_toml(text, where), where)
-
-
-def parse_toml(text: str, where: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{where}: not valid TOML: {error}") from error
-
-
-def validate(model: type[Model], data: dict[str, Any], where: str) -> Model:
-    """Build ``model`` from ``data``; the first failure becomes one line that names file, key and what is
-    allowed.
-    """
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        problems = error.errors()
-        first = problems[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
-        message = first["msg"].removeprefix("Value error, ")
-        if first["type"] == "missing":
-            message = "is missing"
-        elif first["type"] == "extra_forbidden":
-            message = "is not a known key"
-        else:
-            message = (
-                f"{message[0].lower()}{message[1:]}, found {first['input']!r}"
-                if not isinstance(first["input"], dict)
-                else message
-            )
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise ConfigurationError(f"{where}: {key}: {message}{more}") from error

@@ -7,16 +7,19 @@ is written by ``st-emulator export scenario-schema``. Faults and expectations wi
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from .errors import ConfigurationError
-from .profile import NonNegative, Positive, Section, parse_toml, validate
+from .profile import NonNegative, Positive
+from .validation import Section, parse_toml, read_text, validate
 
-SCHEMA_VERSION = 1
+# UTC has whole leap seconds from 1972 on; the on-board time, four octets of seconds since 1958, ends in 2094.
+FIRST_START = datetime(1972, 1, 1, tzinfo=UTC)
+END_OF_STARTS = datetime(2090, 1, 1, tzinfo=UTC)
+DEFAULT_START = datetime(2026, 1, 15, tzinfo=UTC)
 
 RightAscension = Annotated[
     float, Field(ge=0, lt=360, description="ICRS right ascension of the boresight, degrees")
@@ -149,7 +152,7 @@ class Scenario(Section):
     name: str = "unnamed"
     description: str = ""
     duration_s: Positive | None = None
-    start_utc: datetime = datetime.fromisoformat("2026-01-15T00:00:00+00:00")
+    start_utc: datetime = DEFAULT_START
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
     trajectory: Trajectory = InertialTrajectory(ra_deg=83.0, dec_deg=-3.0, roll_deg=0.0)
     sky: Sky = Sky()
@@ -157,10 +160,20 @@ class Scenario(Section):
     telecommands: list[ScenarioTelecommand] = Field(default_factory=list)
 
     @model_validator(mode="after")
-    def _time_zone(self) -> Scenario:
+    def _start_fits(self) -> Scenario:
         if self.start_utc.tzinfo is None:
             raise ValueError("start_utc must carry its time zone, for instance 2026-01-15T00:00:00Z")
+        if not FIRST_START <= self.start_utc < END_OF_STARTS:
+            raise ValueError(
+                f"start_utc = {self.start_utc.isoformat()} is out of range; allowed are dates from "
+                f"{FIRST_START:%Y-%m-%d} to before {END_OF_STARTS:%Y-%m-%d}"
+            )
         return self
+
+    @property
+    def where(self) -> str:
+        """What errors call this scenario: its file, else its name."""
+        return self.origin or f"scenario {self.name}"
 
 
 def load_scenario(path: str | Path) -> Scenario:
@@ -170,13 +183,9 @@ def load_scenario(path: str | Path) -> Scenario:
         ConfigurationError: names the file, the key and what is allowed.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise ConfigurationError(f"{path}: cannot be read: {reason}; a scenario is a TOML file") from error
-    return parse_scenario(text, str(path))
+    return parse_scenario(read_text(path, "a scenario"), str(path))
 
 
 def parse_scenario(text: str, where: str) -> Scenario:
+    """Validate the TOML text of a scenario; ``where`` names it in errors."""
     return validate(Scenario, parse_toml(text, where), where)

@@ -1,10 +1,8 @@
-"""One star tracker: bytes and frames in, bytes out, in virtual time. It touches no port, no file but its
-store, no clock.
+"""One star tracker: bytes and frames in, bytes out, in virtual time.
 
-Its parts: the receiver (telecommands), the transmitter (telemetry), imaging (frames in time), the
-parameters and the
-services. This class owns the mode (by the one table in ``firmware_model.modes``) and tells the parts of
-each other.
+It touches no port, no clock and no file but its store. Its parts: the receiver (telecommands), the
+transmitter (telemetry), imaging (frames in time), the parameters and the services. This class owns the mode
+(by the one table in ``firmware_model.modes``) and tells the parts of each other.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from .firmware_model.firmware import FirmwareState
 from .firmware_model.modes import Mode, ModeEvent, next_mode
 from .firmware_model.reasons import Reason
 from .line import SerialLine
-from .onboard.counters import FrameCounters, LinkCounters
+from .onboard.counters import FrameCounters, LinkCounters, saturated
 from .onboard.image_store import ImageStore
 from .onboard.imaging import FrameRecord, FrameSettings, FrameSource, Imaging, Lazy, Submit, microseconds
 from .onboard.memories import Memories
@@ -37,11 +35,14 @@ from .protocol.enumerations import (
     EventId,
     FailureCode,
     FaultCause,
+    FrameDropCause,
     HousekeepingId,
     ResetCause,
     SelfTest,
+    StoreInvalidCause,
 )
 from .protocol.events import EVENTS
+from .protocol.packets import Telecommand
 
 SILENT = (Mode.BOOT, Mode.OFF)
 SELF_TEST_STEPS = 4
@@ -123,7 +124,8 @@ class StarTracker:
         self._self_test_frame = False
         self._time_request: Request | None = None
         self._acquisition_request: Request | None = None
-        self._housekeeping: dict[int, ScheduledEvent] = {}
+        self._going_down = False
+        self.store_fault: StoreInvalidCause | None = None
 
     # -- life
     # ------------------------------------------------------------------------------------------------------
@@ -140,12 +142,14 @@ class StarTracker:
 
     def _boot(self, cause: ResetCause) -> None:
         self._life += 1
-        self._set_mode(Mode.BOOT)
+        self._going_down = False
+        self.mode = Mode.BOOT
         self.reset_cause = cause
         self.transmitter.reset()
         self.receiver.reset()
-        self.link_counters.clear()
-        self.frame_counters.clear()
+        if cause != ResetCause.WARM_RESET:
+            self.clear_counters()
+            self.time.restart(self.clock.now_ns)
         self.disabled_events.clear()
         self.image_store.reset()
         self.memories.reset()
@@ -160,18 +164,18 @@ class StarTracker:
         self.self_test_result = SelfTest(0)
         self.time.discard_pending()
         self._powered_ns = self.clock.now_ns
-        self._store_fault = self.parameters.load(count_start=True)
+        self.store_fault = self.parameters.load(count_start=True)
         self.later(self.profile.timing.boot_ms * NS_PER_MS, self._boot_done)
 
     def _boot_done(self) -> None:
         self._follow(ModeEvent.BOOT_DONE, announce=False)
         self.raise_event(
             EventId.BOOT_COMPLETED,
-            boot_count=self.parameters.boot_count & 0xFFFF,
+            boot_count=saturated(self.parameters.boot_count, 16),
             reset_cause=int(self.reset_cause),
         )
-        if self._store_fault is not None:
-            self.raise_event(EventId.PARAMETER_STORE_INVALID, cause=int(self._store_fault))
+        if self.store_fault is not None:
+            self.raise_event(EventId.PARAMETER_STORE_INVALID, cause=int(self.store_fault))
         interval_ms = self.profile.wire.status_interval_ms
         if interval_ms:
             self.services.enable_housekeeping(HousekeepingId.STATUS, interval_ms)
@@ -179,22 +183,43 @@ class StarTracker:
             self.start_acquisition(ModeEvent.AUTONOMOUS_START)
 
     def reset(self, cause: ResetCause) -> None:
-        """Restart: cold also forgets the on-board time."""
-        if cause == ResetCause.COLD_RESET:
-            self.time = OnboardTime()
-            self.transmitter.set_time(self.time)
+        """Restart; all but a warm reset forget the on-board time and the counters."""
         self._boot(cause)
 
     def shut_down(self) -> None:
         """Leave for OFF: nothing is sent or processed until power is cycled."""
         self._life += 1
-        self._set_mode(Mode.OFF)
+        self.mode = Mode.OFF
+
+    def go_down(self, last: Callable[[], None]) -> None:
+        """Come to rest and do ``last`` (a reset, a shutdown) when the line is idle.
+
+        No more frames, periodic reports and telecommands; what runs is aborted, so that every accepted
+        telecommand has its end.
+        """
+        self._going_down = True
+        self.imaging.stop()
+        self.image_store.abort()
+        self.image_store.abort_capture()
+        self._give_up_acquisition(FailureCode.ABORTED)
+        self._give_up_self_test()
+        self._give_up_time(FailureCode.ABORTED)
+        self.services.reset()
+        self._when_line_idle(last)
+
+    def _when_line_idle(self, action: Callable[[], None]) -> None:
+        """Act when what is queued at the end of this instant has left."""
+        waiting_ns = self.line.duration_ns(self.line.queued_bytes)
+        self.later(waiting_ns, action if not waiting_ns else lambda: self._when_line_idle(action))
+
+    def clear_counters(self) -> None:
+        """Set every counter of the housekeeping structures to 0."""
+        self.link_counters.clear()
+        self.frame_counters.clear()
+        self.transmitter.clear_counters()
 
     # -- modes
     # -----------------------------------------------------------------------------------------------------
-
-    def _set_mode(self, mode: Mode) -> None:
-        self.mode = mode
 
     def _follow(self, event: ModeEvent, *, announce: bool = True) -> None:
         """Change the mode as the table says; an event that the table does not know in this mode changes
@@ -236,19 +261,13 @@ class StarTracker:
         self.last_reasons = Reason.NOT_ACQUIRING
         self._follow(ModeEvent.COMMAND_STANDBY)
 
-    def go_down(self) -> None:
-        """Before a reset or a shutdown: no more frames and periodic reports, so that the line comes to
-        rest.
-        """
-        self.imaging.stop()
-        self._give_up_acquisition(FailureCode.ABORTED)
-        self.image_store.abort()
-        self.image_store.abort_capture()
-        self.services.reset()
-
     def enter_fault(self, cause: FaultCause) -> None:
+        """Stop in FAULT; nothing happens when the unit is there already or is off."""
+        if next_mode(self.mode, ModeEvent.FAULT_DETECTED) is None:
+            return
         self.imaging.stop()
         self._give_up_acquisition(FailureCode.ABORTED)
+        self._give_up_self_test()
         self._follow(ModeEvent.FAULT_DETECTED)
         self.raise_event(EventId.FAULT_ENTERED, cause=int(cause))
 
@@ -267,7 +286,14 @@ class StarTracker:
         self.imaging.capture()
         step_ns = self.profile.timing.self_test_ms * NS_PER_MS // SELF_TEST_STEPS
         for step in range(1, SELF_TEST_STEPS + 1):
-            self.later(step * step_ns, lambda step=step: self._self_test_step(request, step))  # type: ignore[misc]
+            self.later(step * step_ns, lambda step=step: self._self_test_step(request, step))  # type:
+            ignore[misc]
+
+    def _give_up_self_test(self) -> None:
+        if self._self_test is not None:
+            self.imaging.cancel_capture()
+            self._self_test.failed(FailureCode.ABORTED)
+            self._self_test = None
 
     def _self_test_step(self, request: Request, step: int) -> None:
         if self._self_test is not request:
@@ -286,6 +312,7 @@ class StarTracker:
             request.progressed(step)
             return
         self._self_test = None
+        self.imaging.cancel_capture()
         self.raise_event(EventId.SELF_TEST_COMPLETED, result=int(self.self_test_result))
         if self.self_test_result:
             request.failed(FailureCode.SELF_TEST_FAILED, int(self.self_test_result))
@@ -301,7 +328,7 @@ class StarTracker:
 
     def receive(self, data: bytes) -> None:
         """Bytes whose last bit has arrived now."""
-        if self.mode in SILENT:
+        if self.mode in SILENT or self._going_down:
             return  # the receiver is off: as on the real line, the bytes are lost
         latency_ns = self.profile.timing.telecommand_latency_us * NS_PER_US
         for raw in self.receiver.receive(data, self.clock.now_ns):
@@ -309,7 +336,7 @@ class StarTracker:
             self.later(latency_ns, lambda raw=raw, at=received_ns: self._handle(raw, at))  # type: ignore[misc]
 
     def _handle(self, raw: bytes, received_ns: int) -> None:
-        if self.mode in SILENT:
+        if self.mode in SILENT or self._going_down:
             return
         self.services.received_ns = received_ns
         self.receiver.handle(raw)
@@ -319,19 +346,16 @@ class StarTracker:
         if self.mode in SILENT:
             return False
         sent = self.transmitter.send(name, fields, destination_id)
-        if not sent and not self.transmitter.dropping:
-            self.transmitter.dropping = True
-        elif sent and self.transmitter.dropping:
-            self.transmitter.dropping = False
-            self.raise_event(EventId.TX_QUEUE_OVERFLOWED, packets=self.transmitter.lost_packets & 0xFFFF)
+        if sent and (lost := self.transmitter.take_lost()):
+            self.raise_event(EventId.TX_QUEUE_OVERFLOWED, packets=saturated(lost, 16))
         return sent
 
     def raise_event(self, event: EventId, **data: Any) -> None:
         if int(event) not in self.disabled_events:
             self.send(EVENTS[event].message_name, {"event_id": int(event), "data": data})
 
-    def handler(self, name: str) -> Handler:
-        return self.services.handler(name)
+    def handler(self, telecommand: Telecommand) -> Handler:
+        return self.services.handler(telecommand)
 
     # -- imaging's client
     # ------------------------------------------------------------------------------------------
@@ -352,9 +376,14 @@ class StarTracker:
         """``request`` sets the time and completes when the time comes into force; an earlier one is
         superseded.
         """
-        if self._time_request is not None:
-            self._time_request.failed(FailureCode.SUPERSEDED)
+        self._give_up_time(FailureCode.SUPERSEDED)
         self._time_request = request
+
+    def _give_up_time(self, code: FailureCode) -> None:
+        if self._time_request is not None:
+            self._time_request.failed(code)
+            self._time_request = None
+            self.time.discard_pending()
 
     def frame_settings(self) -> FrameSettings:
         return self.parameters.frame_settings()
@@ -386,14 +415,14 @@ class StarTracker:
         if result.valid:
             x, y, z, w = (float(value) for value in result.q_icrs_to_sensor)
             self._last_attitude = LastAttitude((x, y, z, w))
-        self._report_attitude(record)
+        self._report_attitude(record, result.reasons)
         if record.late_ns:
             self.raise_event(
                 EventId.FRAME_OVERRAN,
                 frame_index=record.index,
-                cycles=record.cycles.total,
-                budget=self.cycle_budget,
-                late_us=microseconds(record.late_ns),
+                cycles=saturated(record.cycles.total, 32),
+                budget=saturated(self.imaging.budget_cycles(record.settings), 32),
+                late_us=saturated(microseconds(record.late_ns), 32),
             )
         self._follow_frame(record)
         if result.valid and self._acquisition_request is not None:
@@ -421,22 +450,15 @@ class StarTracker:
     def frame_dropped(self, record: FrameRecord) -> None:
         self.frame_counters.frames_dropped += 1
         assert record.drop_cause is not None
-        reasons = Reason.FRAME_DROPPED
-        reasons |= Reason.NO_FRAME if record.pixels is None and record.drop_cause == 2 else Reason.OVERRUN
+        no_frame = record.drop_cause == FrameDropCause.NO_FRAME_FROM_SENSOR
+        reasons = Reason.FRAME_DROPPED | (Reason.NO_FRAME if no_frame else Reason.OVERRUN)
         self.last_reasons = reasons
         self.raise_event(EventId.FRAME_DROPPED, frame_index=record.index, cause=int(record.drop_cause))
-        if self.parameters["attitude_report"]:
+        self._report_attitude(record, reasons)
+
+    def _report_attitude(self, record: FrameRecord, reasons: Reason) -> None:
+        if record.settings.report:
             self.send("attitude_report", self._attitude_fields(record, reasons))
-
-    @property
-    def cycle_budget(self) -> int:
-        """Cycles of one frame period at the present clock."""
-        return int(self.parameters["clock_hz"]) * self.profile.timing.frame_period_ms // 1000
-
-    def _report_attitude(self, record: FrameRecord) -> None:
-        if self.parameters["attitude_report"]:
-            assert record.result is not None
-            self.send("attitude_report", self._attitude_fields(record, record.result.reasons))
 
     def _attitude_fields(self, record: FrameRecord, reasons: Reason) -> dict[str, Any]:
         """The report of a processed frame, or of a dropped one (``record.result`` is None)."""
@@ -454,8 +476,10 @@ class StarTracker:
             "q_z": z,
             "q_w": w,
             "exposure_us": microseconds(record.exposure_ns),
-            "cycles": cycles.total if cycles is not None else 0,
-            "latency_us": microseconds(self.clock.now_ns - record.mid_exposure_ns),
+            "cycles": 0 if cycles is None else saturated(cycles.total, 32),
+            "latency_us": 0
+            if result is None
+            else saturated(microseconds(self.clock.now_ns - record.mid_exposure_ns), 32),
             "late": int(record.late_ns > 0),
             "frames_dropped_before": min(65535, record.dropped_before),
         }

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
+
 from st_emulator.world.camera import CameraModel
 from st_emulator.world.stars import StarField, star_field
 

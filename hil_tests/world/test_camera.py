@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from st_emulator.world.camera import CameraModel
 
 PLAIN = CameraModel(

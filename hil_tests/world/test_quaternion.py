@@ -9,6 +9,7 @@ from astropy.coordinates import SkyCoord
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+
 from st_emulator.world import quaternion
 from st_emulator.world.quaternion import pointing_from_quaternion, quaternion_from_pointing
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from st_emulator.world import stars, time_scales
 from st_emulator.world.stars import StarField
 

@@ -8,6 +8,7 @@ import pytest
 from astropy.time import Time
 from hypothesis import given
 from hypothesis import strategies as st
+
 from st_emulator.world import time_scales
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import erfa
 import numpy as np
 import pytest
+
 from st_emulator.world import quaternion, time_scales
 from st_emulator.world.orbit import orbit
 from st_emulator.world.slew import Hold, RateAxis, SlewTo, slew

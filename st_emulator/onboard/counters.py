@@ -5,6 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 
+def saturated(count: int, bits: int) -> int:
+    """``count`` as telemetry shows it in so many bits: a counter that is full stays at its highest value."""
+    return min(count, (1 << bits) - 1)
+
+
 @dataclass
 class LinkCounters:
     """Counters in the housekeeping structure LINK, from power-on or the last CLEAR_COUNTERS."""

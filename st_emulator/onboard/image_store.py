@@ -41,8 +41,9 @@ class ImageStore:
     # ---------------------------------------------------------------------------------------------------
 
     @property
-    def capturing(self) -> bool:
-        return self._capture is not None
+    def busy(self) -> bool:
+        """Whether a capture or a download runs: the one would change the image under the other."""
+        return self._capture is not None or self._download is not None
 
     def capture(self, request: Request) -> None:
         """Keep the next frame; the request completes when it is read out."""
@@ -89,10 +90,6 @@ class ImageStore:
         """Parts of the image kept, 0 without one."""
         return -(-len(self.data) // PART_BYTES)
 
-    @property
-    def downloading(self) -> bool:
-        return self._download is not None
-
     def download(self, request: Request, transaction_id: int, first_part: int, parts: int) -> None:
         """Send ``parts`` parts from ``first_part`` (1 is the first); the request completes with the last."""
         self._download = request
@@ -105,8 +102,9 @@ class ImageStore:
     def abort(self) -> None:
         """Stop the download; its request fails with ABORTED."""
         if self._download is not None:
+            last_sent = self._next_part - 1 if self._next_part > self._first_part else 0
             self._unit.raise_event(
-                EventId.IMAGE_DOWNLOAD_ABORTED, transaction_id=self._transaction_id, part=self._next_part
+                EventId.IMAGE_DOWNLOAD_ABORTED, transaction_id=self._transaction_id, part=last_sent
             )
             self._download.failed(FailureCode.ABORTED)
             self._download = None

@@ -1,24 +1,22 @@
 """Frames in time: exposure, read-out, processing on a cycle budget, dropped frames.
 
 The frame grid runs from power-on with the unit's period. A frame's parameters are latched at its exposure
-start. Its
-processing starts when it is read out (and the processor is free) and ends when its cycles are spent; then
-its result
-counts. A frame that overruns is late, and the frame whose read-out finds the processor still busy is dropped.
+start. Its processing starts when it is read out and ends when its cycles are spent; then its result counts.
+A frame that needs more cycles than its budget is late, and a frame whose read-out finds the processor still
+busy is dropped. Without overlap (``pipelined`` 0) a frame is not even exposed while the processor is busy.
 
 The computation itself is started at the exposure start (beside the loop in real time) and joined when its
-processing
-starts in virtual time, so no telecommand waits for pixels and the results do not depend on the computer's
-speed.
+processing starts in virtual time, so no telecommand waits for pixels and the results do not depend on the
+computer's speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
-from ..clock import NS_PER_US, VirtualClock
+from ..clock import NS_PER_S, NS_PER_US, VirtualClock
 from ..firmware_model.configuration import FirmwareConfiguration, StarTables
 from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
 from ..firmware_model.image.frame import Frame
@@ -65,6 +63,7 @@ class FrameSettings:
     configuration: FirmwareConfiguration
     processor: ProcessorProfile
     pipelined: bool
+    report: bool = True
 
 
 @dataclass
@@ -86,7 +85,6 @@ class FrameRecord:
     late_ns: int = 0
     dropped_before: int = 0
     drop_cause: FrameDropCause | None = None
-    extra: dict[str, Any] = field(default_factory=dict)
 
     @property
     def mid_exposure_ns(self) -> int:
@@ -141,14 +139,13 @@ class Imaging:
         self._previous: FrameRecord | None = None
         self._dropped_since = 0
         self._capture_wanted = False
-        self.running = False
+        self._captures = 0  # counts captures asked for and cancelled; the read-out of an earlier one is void
 
     # -- what the unit asks for
     # ------------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Begin the frame grid at the present time (power-on)."""
-        self.running = True
         self._clock.at(self._clock.now_ns, lambda: self._tick(0))
 
     def acquire(self, state: FirmwareState | None = None, acquisition: Mode = Mode.LOST_IN_SPACE) -> None:
@@ -165,16 +162,24 @@ class Imaging:
         self._dropped_since = 0
 
     def capture(self) -> None:
-        """Keep the pixels of the next frame."""
+        """Tell the client of the next frame that the sensor delivers, when it is read out."""
+        self._captures += 1
         self._capture_wanted = True
 
     def cancel_capture(self) -> None:
+        """The frame is wanted no more, also when it is exposed already."""
+        self._captures += 1
         self._capture_wanted = False
 
-    @property
-    def next_start_ns(self) -> int:
-        """Start of the next frame period after now."""
-        return (self._clock.now_ns // self.period_ns + 1) * self.period_ns
+    def budget_cycles(self, settings: FrameSettings) -> int:
+        """Cycles between a frame's read-out and the moment from which on it is late."""
+        return max(0, self._budget_ns(settings)) * settings.processor.clock_hz // NS_PER_S
+
+    def _budget_ns(self, settings: FrameSettings) -> int:
+        """A period when processing overlaps the next exposure, else what is left of the frame's own."""
+        if settings.pipelined:
+            return self.period_ns
+        return self.period_ns - settings.configuration.exposure_ns - self._readout_ns
 
     # -- the time line of a frame
     # ----------------------------------------------------------------------------------
@@ -183,8 +188,7 @@ class Imaging:
         start_ns = self._clock.now_ns
         self._clock.at(start_ns + self.period_ns, lambda: self._tick(index + 1))
         self._client.frame_started(index)
-        capture, self._capture_wanted = self._capture_wanted, False
-        if self._acquisition is None and not capture:
+        if self._acquisition is None and not self._capture_wanted:
             return
         settings = self._client.frame_settings()
         exposure_ns = settings.configuration.exposure_ns
@@ -203,21 +207,22 @@ class Imaging:
             self._join(previous)  # its cycles and its state are needed from here on
         busy_until_ns = previous.due_ns if previous is not None and previous.due_ns is not None else 0
         if self._acquisition is not None and not settings.pipelined and busy_until_ns > start_ns:
-            self._drop(
-                record, FrameDropCause.PROCESSOR_BUSY
-            )  # no exposure at all: the processor has no time to start it
+            # No exposure at all: the processor has no time to start it.
+            self._drop(record, FrameDropCause.PROCESSOR_BUSY, start_ns)
             return
         record.pixels = self._source.frame(index, start_ns, exposure_ns)
         self._client.frame_exposed(record)
-        if capture and record.pixels is not None:
-            self._clock.at(record.readout_end_ns, lambda: self._client.image_captured(record))
+        if self._capture_wanted and record.pixels is not None:
+            self._capture_wanted = False
+            number = self._captures
+            self._clock.at(record.readout_end_ns, lambda: self._captured(record, number))
         if self._acquisition is None:
             return
         if record.pixels is None:
-            self._drop(record, FrameDropCause.NO_FRAME_FROM_SENSOR)
+            self._drop(record, FrameDropCause.NO_FRAME_FROM_SENSOR, record.readout_end_ns)
             return
         if busy_until_ns > record.readout_end_ns:
-            self._clock.at(record.readout_end_ns, lambda: self._drop(record, FrameDropCause.OVERRUN))
+            self._drop(record, FrameDropCause.OVERRUN, record.readout_end_ns)
             return
         record.acquisition = self._acquisition
         record.dropped_before, self._dropped_since = self._dropped_since, 0
@@ -249,8 +254,7 @@ class Imaging:
         record.cycles = record.settings.processor.cycles(result.work)
         processing_ns = record.settings.processor.duration_ns(record.cycles.total)
         record.due_ns = record.readout_end_ns + processing_ns
-        deadline_ns = record.readout_end_ns if record.settings.pipelined else record.start_ns
-        record.late_ns = max(0, record.due_ns - (deadline_ns + self.period_ns))
+        record.late_ns = max(0, processing_ns - self._budget_ns(record.settings))
         self._state = result.state
         self._acquisition = result.acquisition_after
         self._clock.at(max(record.due_ns, self._clock.now_ns), lambda: self._completed(record))
@@ -263,11 +267,20 @@ class Imaging:
         if record.epoch == self._epoch:
             self._client.frame_completed(record)
 
-    def _drop(self, record: FrameRecord, cause: FrameDropCause) -> None:
-        if record.epoch != self._epoch:
-            return
+    def _captured(self, record: FrameRecord, number: int) -> None:
+        if number == self._captures:
+            self._client.image_captured(record)
+
+    def _drop(self, record: FrameRecord, cause: FrameDropCause, told_ns: int) -> None:
+        """Leave the frame out; the client is told at ``told_ns``."""
+        record.drop_cause, record.dropped_before = cause, self._dropped_since
         self._dropped_since += 1
-        self._client.frame_dropped(replace(record, drop_cause=cause, dropped_before=self._dropped_since - 1))
+
+        def tell() -> None:
+            if record.epoch == self._epoch:
+                self._client.frame_dropped(record)
+
+        self._clock.at(told_ns, tell)
 
 
 def microseconds(duration_ns: int) -> int:

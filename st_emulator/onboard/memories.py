@@ -40,7 +40,7 @@ class Memories:
 
     def read(self, memory_id: int, start: int, length: int) -> bytes:
         contents = self.contents(memory_id)
-        if length == 0 or start + length > len(contents):
+        if start + length > len(contents):
             raise RejectedError(FailureCode.ADDRESS, start)
         return bytes(contents[start : start + length])
 
@@ -48,7 +48,7 @@ class Memories:
         if memory_id != MemoryId.RAM:
             self.contents(memory_id)
             raise RejectedError(FailureCode.READ_ONLY, memory_id)
-        if length == 0 or start + length > RAM_BYTES:
+        if start + length > RAM_BYTES:
             raise RejectedError(FailureCode.ADDRESS, start)
 
     def write(self, start: int, data: bytes) -> None:

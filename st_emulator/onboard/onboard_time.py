@@ -1,12 +1,16 @@
 """On-board time: TAI since 1958-01-01, kept as an offset to the virtual clock.
 
-Until it is set it counts from zero at power-on and its status says that it is not synchronised.
+Until it is set it counts from zero at power-on or the last cold reset, and its status says that it is not
+set. It has 4 bytes of seconds and turns over behind them, as the counter of a unit does.
 """
 
 from __future__ import annotations
 
+from ..clock import NS_PER_S
 from ..protocol.enumerations import TimeStatus
 from ..protocol.packets import CucTime
+
+TURNOVER_NS = (1 << 32) * NS_PER_S
 
 
 class OnboardTime:
@@ -15,7 +19,11 @@ class OnboardTime:
     """
 
     def __init__(self) -> None:
-        self._offset_ns = 0
+        self.restart(0)
+
+    def restart(self, t_ns: int) -> None:
+        """Count from zero at the virtual time ``t_ns``, as after power-on."""
+        self._offset_ns = -t_ns
         self._pending_offset_ns: int | None = None
         self.status = TimeStatus.FREE_RUNNING
 
@@ -25,7 +33,7 @@ class OnboardTime:
 
     def tai_ns(self, t_ns: int) -> int:
         """On-board time at a virtual time, nanoseconds since 1958-01-01 TAI."""
-        return t_ns + self._offset_ns
+        return (t_ns + self._offset_ns) % TURNOVER_NS
 
     def cuc(self, t_ns: int) -> CucTime:
         return CucTime.from_ns(self.tai_ns(t_ns))

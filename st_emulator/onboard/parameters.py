@@ -6,6 +6,7 @@ from ..configuration import firmware_configuration, processor_profile
 from ..profile import UnitProfile
 from ..protocol.enumerations import FailureCode, ParameterId, StoreInvalidCause
 from ..protocol.parameters import PARAMETER_TABLE
+from .counters import saturated
 from .imaging import FrameSettings
 from .parameter_store import Store, StoreContents
 from .requests import RejectedError
@@ -57,21 +58,21 @@ class Parameters:
     def load(self, *, count_start: bool) -> StoreInvalidCause | None:
         """Read the non-volatile memory; returns why factory values are used instead, or None."""
         contents, fault = self._store.load()
-        if fault is None:
-            for name, value in contents.parameters.items():
-                definition = BY_NAME.get(name)
-                if definition is None or definition.read_only or definition.violation(value) is not None:
-                    contents, fault = (
-                        StoreContents(boot_count=contents.boot_count),
-                        StoreInvalidCause.OUT_OF_RANGE,
-                    )
-                    break
+        if fault is None and not all(self._fits(name, value) for name, value in contents.parameters.items()):
+            contents, fault = StoreContents(boot_count=contents.boot_count), StoreInvalidCause.OUT_OF_RANGE
         self._values = self._defaults | contents.parameters
         self._settings = None
         self.boot_count = contents.boot_count + int(count_start)
         if count_start:
             self._save()
         return fault
+
+    def _fits(self, name: str, value: float | int) -> bool:
+        """Whether a parameter of this unit can be set to the value."""
+        definition = BY_NAME.get(name)
+        if definition is None or definition.read_only or definition.violation(value) is not None:
+            return False
+        return name != "exposure_us" or value <= self._profile.timing.frame_period_ms * 1000
 
     def stored_fault(self) -> StoreInvalidCause | None:
         """What is wrong with the non-volatile memory now, or None."""
@@ -85,25 +86,19 @@ class Parameters:
         return {name: value for name, value in self._values.items() if value != self._defaults[name]}
 
     def __getitem__(self, name: str) -> float | int:
-        return self.boot_count & 0xFFFF if name == BOOT_COUNT else self._values[name]
+        return saturated(self.boot_count, 16) if name == BOOT_COUNT else self._values[name]
 
     def by_id(self, parameter_id: int) -> float | int:
-        """Value of a parameter; refuses an unknown identifier."""
-        if parameter_id not in DEFINITIONS:
-            raise RejectedError(FailureCode.UNKNOWN_ID, parameter_id)
+        """Value of a parameter of the table."""
         return self[DEFINITIONS[parameter_id].name]
 
     def check(self, settings: dict[int, float | int]) -> None:
-        """Refuse unknown, read-only and out-of-range settings."""
+        """Refuse read-only settings and values that do not fit this unit."""
         for parameter_id, value in settings.items():
-            definition = DEFINITIONS.get(parameter_id)
-            if definition is None:
-                raise RejectedError(FailureCode.UNKNOWN_ID, parameter_id)
+            definition = DEFINITIONS[parameter_id]
             if definition.read_only:
                 raise RejectedError(FailureCode.READ_ONLY, parameter_id)
-            if definition.violation(value) is not None:
-                raise RejectedError(FailureCode.OUT_OF_RANGE, parameter_id)
-            if definition.name == "exposure_us" and value > self._profile.timing.frame_period_ms * 1000:
+            if not self._fits(definition.name, value):
                 raise RejectedError(FailureCode.OUT_OF_RANGE, parameter_id)
 
     def store(self, settings: dict[int, float | int]) -> int:
@@ -129,5 +124,6 @@ class Parameters:
                 configuration=firmware_configuration(self._profile, self._values),
                 processor=self._processor.with_clock(int(self._values["clock_hz"])),
                 pipelined=bool(self._values["pipelined"]),
+                report=bool(self._values["attitude_report"]),
             )
         return self._settings

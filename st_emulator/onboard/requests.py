@@ -4,10 +4,12 @@ failure report.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any, Protocol
 
 from ..protocol.enumerations import EventId, FailureCode, FramingReason, MalformedReason
+from ..protocol.field_types import FieldViolation
 from ..protocol.framing import FrameReceived, SlipDecoder
 from ..protocol.packets import (
     ACK_ACCEPTANCE,
@@ -20,7 +22,7 @@ from ..protocol.packets import (
     Telecommand,
 )
 from ..protocol.registry import field_violation, parse_telecommand
-from .counters import LinkCounters
+from .counters import LinkCounters, saturated
 
 SEQUENCE_MODULO = 1 << 14
 
@@ -94,7 +96,8 @@ class RequestClient(Protocol):
 
     def raise_event(self, event: EventId, **data: int) -> None: ...
 
-    def handler(self, name: str) -> Handler: ...
+    def handler(self, telecommand: Telecommand) -> Handler:
+        """What checks and executes a telecommand; refuses one that the present mode does not allow."""
 
 
 class Receiver:
@@ -122,7 +125,9 @@ class Receiver:
         for event in self._decoder.receive(data, now_ns):
             if isinstance(event, FrameReceived):
                 frames.append(event.data)
-            elif event.reason == FramingReason.OVERSIZED:
+                continue
+            self.counters.tc_received += 1
+            if event.reason == FramingReason.OVERSIZED:
                 self.counters.oversized_frames += 1
                 self._malformed(event.reason.malformed_reason, self.counters.oversized_frames, event.length)
             else:
@@ -131,8 +136,9 @@ class Receiver:
         return frames
 
     def _malformed(self, reason: MalformedReason, count: int, length: int) -> None:
+        self.counters.tc_rejected += 1
         self._client.raise_event(
-            EventId.TC_MALFORMED, reason=int(reason), count=count & 0xFFFF, length=min(length, 0xFFFF)
+            EventId.TC_MALFORMED, reason=int(reason), count=saturated(count, 16), length=saturated(length, 16)
         )
 
     def handle(self, raw: bytes) -> None:
@@ -142,13 +148,14 @@ class Receiver:
         if isinstance(parsed, Malformed):
             self._reject_malformed(parsed)
             return
-        self._check_sequence(parsed)
+        self._check_sequence(parsed.source_id, parsed.sequence_count)
         request = Request(parsed, self._client.send)
         try:
-            execute = self._client.handler(parsed.name)(parsed)
-            violation = field_violation(parsed)  # ranges of the message table that no handler looks at
+            handler = self._client.handler(parsed)
+            violation = field_violation(parsed)
             if violation is not None:
-                raise RejectedError(violation.failure_code)
+                raise _refusal(parsed, violation)
+            execute = handler(parsed)
         except RejectedError as rejection:
             self._count_rejection(rejection.code)
             self._fail_acceptance(
@@ -159,10 +166,9 @@ class Receiver:
         request.accepted()
         execute(request)
 
-    def _check_sequence(self, telecommand: Telecommand) -> None:
-        source = telecommand.source_id
+    def _check_sequence(self, source: int, received: int) -> None:
+        """Look at the sequence count of a whole and undamaged telecommand, executed or refused."""
         expected = self._expected_sequence.get(source)
-        received = telecommand.sequence_count
         self._expected_sequence[source] = (received + 1) % SEQUENCE_MODULO
         # A count of 0 out of turn is an OBC that started anew, not a gap.
         if expected is not None and received not in (expected, 0):
@@ -198,8 +204,9 @@ class Receiver:
         reason, counters, length = malformed.reason, self.counters, len(malformed.raw)
         if reason == MalformedReason.BAD_CRC:
             counters.crc_errors += 1
+            counters.tc_rejected += 1
             self._client.raise_event(
-                EventId.TC_CRC_FAILED, count=counters.crc_errors & 0xFFFF, length=min(length, 0xFFFF)
+                EventId.TC_CRC_FAILED, count=saturated(counters.crc_errors, 16), length=saturated(length, 16)
             )
         elif reason == MalformedReason.UNKNOWN_APID and malformed.request_id is not None:
             counters.unknown_apid += 1
@@ -217,10 +224,32 @@ class Receiver:
             counters.length_errors += 1
             self._malformed(reason, counters.length_errors, length)
         else:
+            source_id = _source_id(malformed.raw)
+            self._check_sequence(source_id, malformed.request_id.sequence_count)
             self._count_rejection(reason.failure_code)
             self._fail_acceptance(
-                _source_id(malformed.raw), malformed.request_id, reason.failure_code, _failure_data(malformed)
+                source_id, malformed.request_id, reason.failure_code, _failure_data(malformed)
             )
+
+
+def _refusal(telecommand: Telecommand, violation: FieldViolation) -> RejectedError:
+    """The failure of a value that the message table does not allow.
+
+    Its data is the unknown identifier, or the identifier of the thing to which the value belongs (0 when it
+    belongs to none): the structure, parameter, function or memory that stands beside it.
+    """
+    if violation.failure_code == FailureCode.UNKNOWN_ID and isinstance(violation.value, int):
+        return RejectedError(violation.failure_code, violation.value)
+    fields: dict[str, Any] = telecommand.fields
+    if (item := _ITEM.match(violation.field)) is not None:
+        entry = fields[item["list"]][int(item["number"])]
+        fields = entry if isinstance(entry, dict) else {}
+    identifiers = [value for name, value in fields.items() if name in _IDENTIFIERS]
+    return RejectedError(violation.failure_code, identifiers[0] if identifiers else 0)
+
+
+_ITEM = re.compile(r"(?P<list>\w+)\[(?P<number>\d+)\]")
+_IDENTIFIERS = ("structure_id", "parameter_id", "function_id", "memory_id")
 
 
 def _source_id(raw: bytes) -> int:

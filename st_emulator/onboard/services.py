@@ -1,8 +1,8 @@
 """The services: what each telecommand checks and does.
 
-A handler first makes every check, raising :class:`RejectedError`, and returns what executes the telecommand. So
-a refused
-telecommand has changed nothing.
+A telecommand is checked in this order: the mode, the identifiers and ranges of the message table, then what
+only its handler can know. A handler first makes every check, raising :class:`RejectedError`, and returns
+what executes the telecommand: so a refused telecommand has changed nothing.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ..clock import NS_PER_MS, ScheduledEvent
+from ..clock import NS_PER_MS, NS_PER_S, ScheduledEvent
 from ..firmware_model.modes import Mode, ModeEvent, next_mode
 from ..protocol.enumerations import (
     EventId,
@@ -21,6 +21,7 @@ from ..protocol.enumerations import (
     ResetKind,
 )
 from ..protocol.packets import CucTime, Telecommand, crc16_ccitt
+from .counters import saturated
 from .imaging import microseconds
 from .requests import Handler, RejectedError, Request
 
@@ -99,10 +100,13 @@ class Services:
         self._intervals_ms.clear()
         self._time_report_exponent = None
 
-    def handler(self, name: str) -> Handler:
+    def handler(self, telecommand: Telecommand) -> Handler:
         """The handler of a telecommand, if the present mode allows it."""
-        mode = self._unit.mode
-        if mode not in ALLOWED_MODES[name]:
+        mode, name = self._unit.mode, telecommand.name
+        allowed = ALLOWED_MODES[name]
+        if name == "function":
+            allowed = allowed_modes(FunctionId(telecommand.fields["function_id"]))
+        if mode not in allowed:
             raise RejectedError(FailureCode.NOT_ALLOWED_IN_MODE, int(mode))
         return self._handlers[name]
 
@@ -139,14 +143,8 @@ class Services:
 
         self._periodic[structure_id] = self._unit.later(delay_ns, report)
 
-    def _structures(self, ids: list[int]) -> list[int]:
-        for structure_id in ids:
-            if structure_id not in list(HousekeepingId):
-                raise RejectedError(FailureCode.UNKNOWN_ID, structure_id)
-        return ids
-
     def _hk_enable(self, telecommand: Telecommand) -> Callable[[Request], None]:
-        ids = self._structures(telecommand.fields["structure_ids"])
+        ids = telecommand.fields["structure_ids"]
 
         def execute(request: Request) -> None:
             for structure_id in ids:
@@ -157,7 +155,7 @@ class Services:
         return execute
 
     def _hk_disable(self, telecommand: Telecommand) -> Callable[[Request], None]:
-        ids = self._structures(telecommand.fields["structure_ids"])
+        ids = telecommand.fields["structure_ids"]
 
         def execute(request: Request) -> None:
             for structure_id in ids:
@@ -169,7 +167,7 @@ class Services:
         return execute
 
     def _hk_one_shot(self, telecommand: Telecommand) -> Callable[[Request], None]:
-        ids = self._structures(telecommand.fields["structure_ids"])
+        ids = telecommand.fields["structure_ids"]
 
         def execute(request: Request) -> None:
             for structure_id in ids:
@@ -180,10 +178,6 @@ class Services:
 
     def _hk_set_interval(self, telecommand: Telecommand) -> Callable[[Request], None]:
         intervals = telecommand.fields["intervals"]
-        self._structures([item["structure_id"] for item in intervals])
-        for item in intervals:
-            if not 250 <= item["interval_ms"] <= 3_600_000:
-                raise RejectedError(FailureCode.OUT_OF_RANGE, item["structure_id"])
 
         def execute(request: Request) -> None:
             for item in intervals:
@@ -208,43 +202,47 @@ class Services:
         return {
             "mode": int(unit.mode),
             "reset_cause": int(unit.reset_cause),
-            "boot_count": unit.parameters.boot_count & 0xFFFF,
-            "uptime_ms": unit.uptime_ms & 0xFFFFFFFF,
+            "boot_count": saturated(unit.parameters.boot_count, 16),
+            "uptime_ms": unit.uptime_ms & 0xFFFFFFFF,  # a clock: it turns over after 49 days
             "time_status": int(unit.time.status),
             "self_test_result": int(unit.self_test_result),
             "last_frame_index": unit.last_frame_index & 0xFFFFFFFF,
             "last_reasons": int(unit.last_reasons),
-            "frames_processed": counters.frames_processed,
-            "frames_valid": counters.frames_valid,
-            "frames_tracking": counters.frames_tracking,
-            "frames_late": counters.frames_late,
-            "frames_dropped": counters.frames_dropped,
+            "frames_processed": saturated(counters.frames_processed, 32),
+            "frames_valid": saturated(counters.frames_valid, 32),
+            "frames_tracking": saturated(counters.frames_tracking, 32),
+            "frames_late": saturated(counters.frames_late, 32),
+            "frames_dropped": saturated(counters.frames_dropped, 32),
             "temperature_cdeg": unit.temperature_cdeg,
-            "stored_parameters_valid": int(unit.parameters.stored_fault() is None),
+            "stored_parameters_valid": int(unit.store_fault is None),
         }
 
     def _link(self) -> dict[str, int]:
         unit, counters = self._unit, self._unit.link_counters
         wide = ("tc_received", "tc_accepted", "tc_rejected", "rx_bytes")
         values = {
-            name: getattr(counters, name) & (0xFFFFFFFF if name in wide else 0xFFFF)
+            name: saturated(getattr(counters, name), 32 if name in wide else 16)
             for name in counters.__dataclass_fields__
         }
         return values | {
-            "tx_bytes": unit.transmitter.bytes & 0xFFFFFFFF,
-            "tx_packets": unit.transmitter.packets & 0xFFFFFFFF,
+            "tx_bytes": saturated(unit.transmitter.bytes, 32),
+            "tx_packets": saturated(unit.transmitter.packets, 32),
             "tx_queue_bytes": unit.line.queued_bytes,
         }
 
     def _timing(self) -> dict[str, int]:
+        """Of the last processed frame; before the first one, the budget and clock of the next."""
         unit = self._unit
         record = unit.last_frame
+        settings = record.settings if record is not None else unit.parameters.frame_settings()
+        budget = unit.imaging.budget_cycles(settings)
+        clock_hz = settings.processor.clock_hz
         cycles = record.cycles if record is not None else None
         by_stage = cycles.by_stage if cycles is not None else {}
-        clock_hz = int(unit.parameters["clock_hz"])
         total = cycles.total if cycles is not None else 0
+        margin_us = microseconds((budget - total) * NS_PER_S // clock_hz)
         values = {
-            f"cycles_{stage}": min(by_stage.get(stage, 0), 0xFFFFFFFF)
+            f"cycles_{stage}": saturated(by_stage.get(stage, 0), 32)
             for stage in (
                 "threshold",
                 "clustering",
@@ -257,24 +255,18 @@ class Services:
         }
         return values | {
             "frame_index": record.index if record is not None else 0,
-            "cycles_total": min(total, 0xFFFFFFFF),
-            "cycles_budget": unit.cycle_budget,
-            "margin_us": microseconds((unit.cycle_budget - total) * 1_000_000_000 // clock_hz),
-            "worst_cycles": min(unit.frame_counters.worst_cycles, 0xFFFFFFFF),
+            "cycles_total": saturated(total, 32),
+            "cycles_budget": saturated(budget, 32),
+            "margin_us": max(-(1 << 31), min(margin_us, (1 << 31) - 1)),
+            "worst_cycles": saturated(unit.frame_counters.worst_cycles, 32),
             "clock_hz": clock_hz,
         }
 
     # -- events
     # ----------------------------------------------------------------------------------------------------
 
-    def _events(self, ids: list[int]) -> list[int]:
-        for event_id in ids:
-            if event_id not in list(EventId):
-                raise RejectedError(FailureCode.UNKNOWN_ID, event_id)
-        return ids
-
     def _event_enable(self, telecommand: Telecommand) -> Callable[[Request], None]:
-        ids = self._events(telecommand.fields["event_ids"])
+        ids = telecommand.fields["event_ids"]
 
         def execute(request: Request) -> None:
             self._unit.disabled_events.difference_update(ids)
@@ -283,7 +275,7 @@ class Services:
         return execute
 
     def _event_disable(self, telecommand: Telecommand) -> Callable[[Request], None]:
-        ids = self._events(telecommand.fields["event_ids"])
+        ids = telecommand.fields["event_ids"]
 
         def execute(request: Request) -> None:
             self._unit.disabled_events.update(ids)
@@ -317,8 +309,6 @@ class Services:
 
     def _memory_dump(self, telecommand: Telecommand) -> Callable[[Request], None]:
         fields = telecommand.fields
-        if fields["length"] > 1024:
-            raise RejectedError(FailureCode.OUT_OF_RANGE, fields["length"])
         data = self._unit.memories.read(fields["memory_id"], fields["start_address"], fields["length"])
 
         def execute(request: Request) -> None:
@@ -353,11 +343,9 @@ class Services:
     # -------------------------------------------------------------------------------------------------
 
     def _function(self, telecommand: Telecommand) -> Callable[[Request], None]:
-        unit, mode = self._unit, self._unit.mode
+        unit = self._unit
         function_id = FunctionId(telecommand.fields["function_id"])
         arguments: dict[str, Any] = telecommand.fields["arguments"]
-        if mode not in allowed_modes(function_id):
-            raise RejectedError(FailureCode.NOT_ALLOWED_IN_MODE, int(mode))
         match function_id:
             case FunctionId.GO_STANDBY:
                 return self._at_once(unit.go_standby)
@@ -368,7 +356,7 @@ class Services:
             case FunctionId.RESET:
                 return self._reset_function(arguments["kind"])
             case FunctionId.CAPTURE_IMAGE:
-                if unit.image_store.capturing:
+                if unit.image_store.busy:
                     raise RejectedError(FailureCode.BUSY)
                 return unit.image_store.capture
             case FunctionId.DOWNLOAD_IMAGE:
@@ -393,7 +381,6 @@ class Services:
     @staticmethod
     def _at_once(action: Callable[[], None]) -> Callable[[Request], None]:
         def execute(request: Request) -> None:
-            request.started()
             action()
             request.completed()
 
@@ -409,48 +396,35 @@ class Services:
 
     def _reset_function(self, kind: int) -> Callable[[Request], None]:
         causes = {ResetKind.WARM: ResetCause.WARM_RESET, ResetKind.COLD: ResetCause.COLD_RESET}
-        if kind not in list(ResetKind):
-            raise RejectedError(FailureCode.OUT_OF_RANGE, kind)
         cause = causes[ResetKind(kind)]
 
         def execute(request: Request) -> None:
             # The boot event takes the place of the completion report: who completes would be another life.
             request.started()
-            self._unit.go_down()
-            self._when_line_idle(lambda: self._unit.reset(cause))
+            self._unit.go_down(lambda: self._unit.reset(cause))
 
         return execute
 
     def _shutdown(self, request: Request) -> None:
         request.started()
         self._unit.raise_event(EventId.SHUTDOWN_STARTED)
-        self._unit.go_down()
+        self._unit.go_down(self._unit.shut_down)
         request.completed()
-        self._when_line_idle(self._unit.shut_down)
-
-    def _when_line_idle(self, action: Callable[[], None]) -> None:
-        """Act when the reports in the queue have left; reports that join meanwhile are waited for as well."""
-        waiting_ns = self._unit.line.duration_ns(self._unit.line.queued_bytes)
-        if waiting_ns:
-            self._unit.later(waiting_ns, lambda: self._when_line_idle(action))
-        else:
-            action()
 
     def _download(self, arguments: dict[str, Any]) -> Callable[[Request], None]:
         store = self._unit.image_store
-        if store.downloading:
+        if store.busy:
             raise RejectedError(FailureCode.BUSY)
         if not store.parts:
             raise RejectedError(FailureCode.NO_IMAGE)
         first = arguments["first_part"] or 1
         count = arguments["parts"] or store.parts - first + 1
         if first > store.parts or first + count - 1 > store.parts:
-            raise RejectedError(FailureCode.OUT_OF_RANGE, store.parts)
+            raise RejectedError(FailureCode.OUT_OF_RANGE, int(FunctionId.DOWNLOAD_IMAGE))
         return lambda request: store.download(request, arguments["transaction_id"], first, count)
 
     def _clear_counters(self) -> None:
-        self._unit.link_counters.clear()
-        self._unit.frame_counters.clear()
+        self._unit.clear_counters()
 
     # -- time
     # ------------------------------------------------------------------------------------------------------
@@ -465,8 +439,6 @@ class Services:
 
     def _time_report_rate(self, telecommand: Telecommand) -> Callable[[Request], None]:
         exponent = telecommand.fields["rate_exponent"]
-        if exponent > 8:
-            raise RejectedError(FailureCode.OUT_OF_RANGE, exponent)
 
         def execute(request: Request) -> None:
             self._time_report_exponent = exponent

@@ -19,8 +19,10 @@ QUEUE_LIMIT_BYTES = (
 
 
 class Transmitter:
-    """Builds and queues the unit's telemetry. A packet that finds the queue full is lost and counted,
-    never half sent.
+    """Builds and queues the unit's telemetry. A packet that finds the queue full is lost, never half sent.
+
+    ``packets`` and ``bytes`` count what was queued, ``lost_packets`` what was lost since the last
+    :meth:`take_lost`.
     """
 
     def __init__(
@@ -36,18 +38,21 @@ class Transmitter:
         self.packets = 0
         self.bytes = 0
         self.lost_packets = 0
-        self.dropping = False
 
     def reset(self) -> None:
-        """Counters as after power-on; what waits for the line is lost."""
+        """Sequence and message counts start anew; what waits for the line is lost."""
         self.line.flush()
         self._sequence_count = 0
         self._message_counts.clear()
-        self.dropping = False
+        self.lost_packets = 0
 
-    def set_time(self, time: OnboardTime) -> None:
-        """Take the time stamps from another clock (after a cold start)."""
-        self._time = time
+    def clear_counters(self) -> None:
+        self.packets = self.bytes = 0
+
+    def take_lost(self) -> int:
+        """How many packets were lost since the last call."""
+        lost, self.lost_packets = self.lost_packets, 0
+        return lost
 
     def send(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool:
         """Queue the telemetry message ``name``; False when the queue was full and the packet is lost.
