@@ -46,6 +46,8 @@ from .world.time_scales import julian_year
 from .world.trajectory import Trajectory
 
 ARCSEC = np.pi / 180 / 3600
+# ASSUMED: a baffle ends steeply; at this share of the exclusion angle the image is full of stray light.
+STEEP = 0.8
 TABLES_LAYOUT = 1  # raise when the contents of the cached tables change
 
 
@@ -156,11 +158,11 @@ def bodies_of(profile: UnitProfile, sky: Sky) -> list[Body]:
     stray = exclusion.stray_electrons_s_at_edge
     bodies: list[Body] = []
     if sky.sun and exclusion.sun_deg > 0:
-        bodies.append(Sun(exclusion.sun_deg, stray))
+        bodies.append(Sun(exclusion.sun_deg, stray, saturation_deg=STEEP * exclusion.sun_deg))
     if sky.moon and exclusion.moon_deg > 0:
-        bodies.append(Moon(exclusion.moon_deg, stray))
+        bodies.append(Moon(exclusion.moon_deg, stray, saturation_deg=STEEP * exclusion.moon_deg))
     if sky.earth and exclusion.earth_deg > 0:
-        bodies.append(Earth(exclusion.earth_deg, stray))
+        bodies.append(Earth(exclusion.earth_deg, stray, saturation_deg=STEEP * exclusion.earth_deg))
     return bodies
 
 

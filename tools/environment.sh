@@ -1,5 +1,5 @@
 # Sourced by the tools: makes the virtual environment .venv and installs the project into it.
-# usage: prepare_environment [EXTRA]   (EXTRA: an optional dependency group of pyproject.toml)
+# usage: prepare_environment ROOT [EXTRA]   (EXTRA: an optional dependency group of pyproject.toml)
 
 say() { printf '%s\n' "$*" >&2; }
 
@@ -38,7 +38,9 @@ make_environment() {
 }
 
 prepare_environment() {
-    local extra=${1:-} wanted stamp
+    # usage: prepare_environment ROOT [EXTRA]
+    cd "$1" || fail "$1: no such folder"
+    local back=$OLDPWD extra=${2:-} wanted stamp
     [ -x .venv/bin/python ] && .venv/bin/python -c '' 2>/dev/null || make_environment
     stamp=.venv/.installed${extra:+-$extra}
     wanted=$(cksum <pyproject.toml)
@@ -48,4 +50,5 @@ prepare_environment() {
             fail "The installation failed: pip needs a package index it can reach (see its message above)."
         printf '%s\n' "$wanted" >"$stamp"
     fi
+    cd "$back" || fail "$back: no such folder"
 }
