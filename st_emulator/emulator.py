@@ -12,11 +12,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from .clock import VirtualClock
 from .configuration import scene_of, star_tables
-from .journal import JournalWriter
+from .journal import JournalWriter, TextSink
 from .line import SerialLine
 from .onboard.imaging import FrameRecord, FrameSource, Lazy, Submit
 from .onboard.parameter_store import Store, StoreContents, VolatileStore
@@ -72,8 +72,8 @@ class Emulator:
         hold: int = 1,
         store: Store | None = None,
         transmit: Callable[[bytes, int], None] = lambda data, t_ns: None,
-        journal: TextIO | None = None,
-        truth: TextIO | None = None,
+        journal: TextSink | None = None,
+        truth: TextSink | None = None,
         submit: Submit = Lazy,
         pace_reception: bool = True,
         baud: int | None = None,

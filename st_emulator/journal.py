@@ -14,11 +14,19 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Protocol
 
 from .errors import ConfigurationError
 
 FORMAT = "st-emulator journal 1"
+
+
+class TextSink(Protocol):
+    """Where lines are written: an open text file."""
+
+    def write(self, text: str, /) -> int: ...
+
+    def flush(self) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -33,7 +41,7 @@ class JournalEntry:
 class JournalWriter:
     """Appends entries to an open text file."""
 
-    def __init__(self, file: TextIO, header: dict[str, Any]) -> None:
+    def __init__(self, file: TextSink, header: dict[str, Any]) -> None:
         self._file = file
         self._file.write(json.dumps({"format": FORMAT, **header}, sort_keys=True) + "\n")
 
@@ -51,11 +59,15 @@ class JournalWriter:
 
 @dataclass(frozen=True)
 class Journal:
-    """A journal read back."""
+    """A journal read back.
+
+    ``ended``: it has its end mark; without one the run was killed, and its last bytes may be missing.
+    """
 
     header: dict[str, Any]
     entries: list[JournalEntry]
     end_ns: int
+    ended: bool = True
 
     def bytes_of(self, direction: str) -> bytes:
         """All bytes of a direction, joined."""
@@ -70,21 +82,25 @@ def read_journal(path: str | Path) -> Journal:
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text file"
         raise ConfigurationError(
             f"{path}: cannot be read: {reason}; a journal is a file of JSON lines"
         ) from error
+    if lines and not lines[-1]:
+        lines.pop()
     objects = list(_objects(path, lines))
     if not objects or objects[0].get("format") != FORMAT:
         raise ConfigurationError(f'{path}: not a journal: the first line must say "format": "{FORMAT}"')
     entries = []
     end_ns = 0
+    ended = False
     for number, item in enumerate(objects[1:], start=2):
         try:
             end_ns = max(end_ns, int(item["t_ns"]))
             if "end" in item:
+                ended = True
                 continue
             direction = "rx" if "rx" in item else "tx"
             entries.append(JournalEntry(int(item["t_ns"]), direction, bytes.fromhex(item[direction])))
@@ -92,14 +108,17 @@ def read_journal(path: str | Path) -> Journal:
             raise ConfigurationError(
                 f"{path}: line {number}: expected t_ns and rx or tx in hexadecimal"
             ) from error
-    return Journal(objects[0], entries, end_ns)
+    return Journal(objects[0], entries, end_ns, ended)
 
 
 def _objects(path: Path, lines: list[str]) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(lines, start=1):
         try:
-            yield json.loads(line)
-        except json.JSONDecodeError as error:
+            item = json.loads(line)
+        except (json.JSONDecodeError, RecursionError) as error:
             if number == len(lines) and number > 1:
                 return  # the writer was killed in the middle of its last line
             raise ConfigurationError(f"{path}: line {number}: not a JSON object") from error
+        if not isinstance(item, dict):
+            raise ConfigurationError(f"{path}: line {number}: not a JSON object")
+        yield item

@@ -4,6 +4,7 @@ sent.
 
 from __future__ import annotations
 
+import contextlib
 import io
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,28 @@ from .errors import ConfigurationError
 from .journal import Journal, JournalEntry, read_journal
 from .onboard.imaging import FrameRecord
 from .onboard.parameter_store import StoreContents, VolatileStore
-from .profile import UnitProfile, validate
-from .report import check, show_checks, show_figures, write_json
+from .output_file import OutputFile
+from .profile import UnitProfile
+from .protocol.enumerations import StoreInvalidCause
+from .report import check, require_json_path, show_checks, show_figures, write_json
 from .scenario import Scenario
-from .world.recorded import RecordedFrames
+from .validation import validate
+from .world.recorded import RecordedFrameError, RecordedFrames
+
+
+class RecordedStore(VolatileStore):
+    """The non-volatile memory as the journal's unit found it: with its fault until it is written anew."""
+
+    def __init__(self, contents: StoreContents, fault: StoreInvalidCause | None) -> None:
+        super().__init__(contents)
+        self._fault = fault
+
+    def load(self) -> tuple[StoreContents, StoreInvalidCause | None]:
+        return super().load()[0], self._fault
+
+    def save(self, contents: StoreContents) -> None:
+        super().save(contents)
+        self._fault = None
 
 
 def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
@@ -30,8 +49,10 @@ def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
     try:
         profile = validate(UnitProfile, header["unit"], where)
         scenario = validate(Scenario, header["scenario"], where)
-        store = VolatileStore(
-            StoreContents(dict(header["store"]["parameters"]), int(header["store"]["boot_count"]))
+        stored = header["store"]
+        store = RecordedStore(
+            StoreContents(dict(stored["parameters"]), int(stored["boot_count"])),
+            None if stored["fault"] is None else StoreInvalidCause(stored["fault"]),
         )
         frames = None
         if header["frames"] is not None:
@@ -51,8 +72,12 @@ def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
             baud=int(header["baud"]),
             **arguments,
         )
+    except RecordedFrameError:
+        raise
     except (KeyError, TypeError, ValueError) as error:
-        raise ConfigurationError(f"{where}: the journal's first line is damaged: {error!r}") from error
+        raise ConfigurationError(
+            f"{where}: line 1: the journal's first line is damaged: {error!r}"
+        ) from error
 
 
 def feed(emulator: Emulator, journal: Journal, until_ns: int | None = None) -> None:
@@ -77,31 +102,32 @@ def first_difference(recorded: list[JournalEntry], replayed: list[JournalEntry])
 
 def replay_journal(path: Path, json_path: str | None, write: Path | None, console: Console) -> int:
     """Replay and compare; exit status 0 when every byte and time is the same."""
+    require_json_path(json_path)
     journal = read_journal(path)
     replayed: list[JournalEntry] = []
-    text = io.StringIO()
-    emulator = emulator_of(
-        journal,
-        str(path),
-        transmit=lambda data, t_ns: replayed.append(JournalEntry(t_ns, "tx", data)),
-        journal=text,
-    )
-    feed(emulator, journal)
-    emulator.close()
-    if write is not None:
-        try:
-            write.write_text(text.getvalue(), encoding="utf-8")
-        except OSError as error:
-            raise ConfigurationError(f"{write}: cannot be written: {error.strerror}") from error
+    with contextlib.ExitStack() as stack:
+        text = io.StringIO() if write is None else stack.enter_context(OutputFile(write, "--write"))
+        emulator = emulator_of(
+            journal,
+            str(path),
+            transmit=lambda data, t_ns: replayed.append(JournalEntry(t_ns, "tx", data)),
+            journal=text,
+        )
+        feed(emulator, journal)
+        emulator.close()
     recorded = [entry for entry in journal.entries if entry.direction == "tx"]
-    # A run that was killed ends somewhere: what it could not write any more is not compared.
-    replayed = [entry for entry in replayed if entry.t_ns <= journal.end_ns]
+    if not journal.ended:
+        # A run that was killed could not write all that it sent in its last instant: that is not compared.
+        replayed = replayed[: len(recorded)] + [
+            entry for entry in replayed[len(recorded) :] if entry.t_ns < journal.end_ns
+        ]
     difference = first_difference(recorded, replayed)
     figures = {
         "seconds": journal.end_ns / NS_PER_S,
         "rx_bytes": len(journal.bytes_of("rx")),
         "tx_bytes": len(journal.bytes_of("tx")),
         "tx_bytes_replayed": sum(len(entry.data) for entry in replayed),
+        "ended": journal.ended,
         "first_difference": difference or "none",
     }
     checks = [check("differences", int(difference is not None), "==", 0, "")]

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import math
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from .errors import ConfigurationError
@@ -41,18 +45,52 @@ def all_hold(checks: Sequence[Check]) -> bool:
     return all(item.holds for item in checks)
 
 
+def require_json_path(path: str | Path | None) -> None:
+    """See before the work that its figures can be written afterwards.
+
+    Raises:
+        ConfigurationError: ``--json`` names a folder, or a file where no file can be.
+    """
+    if path is None or str(path) == "-":
+        return
+    target = Path(path)
+    if target.is_dir():
+        reason = "is a folder"
+    elif not target.absolute().parent.is_dir():
+        reason = f"there is no folder {target.parent}"
+    elif not os.access(target if target.exists() else target.absolute().parent, os.W_OK):
+        reason = "permission denied"
+    else:
+        return
+    raise ConfigurationError(f"--json {path}: cannot be written: {reason}")
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON holds it: numpy's numbers and arrays as Python's; what is no finite number is null."""
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
 def write_json(path: str | Path | None, figures: dict[str, Any], checks: Sequence[Check]) -> None:
     """Write figures and checks as JSON; ``-`` is standard output, None nothing."""
     if path is None:
         return
-    text = json.dumps(figures | {"checks": [asdict(item) for item in checks]}, indent=2) + "\n"
+    contents = plain(figures | {"checks": [asdict(item) for item in checks]})
+    text = json.dumps(contents, indent=2, allow_nan=False) + "\n"
     if str(path) == "-":
         print(text, end="")
         return
     try:
         Path(path).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
+        raise ConfigurationError(f"--json {path}: cannot be written: {error.strerror}") from error
 
 
 def show_checks(console: Console, checks: Sequence[Check]) -> None:
@@ -69,10 +107,10 @@ def show_checks(console: Console, checks: Sequence[Check]) -> None:
             else str(item.value)
         )
         table.add_row(
-            item.name,
-            value,
+            escape(item.name),
+            escape(value),
             item.target,
-            item.unit,
+            escape(item.unit),
             "[green]holds[/]" if item.holds else "[red]falls short[/]",
         )
     console.print(table)
@@ -80,11 +118,11 @@ def show_checks(console: Console, checks: Sequence[Check]) -> None:
 
 def show_figures(console: Console, title: str, figures: dict[str, Any]) -> None:
     """Print plain figures as a table of two columns."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=escape(title), title_justify="left")
     table.add_column("figure")
     table.add_column("value")
     for name, value in figures.items():
         if isinstance(value, (list, dict)):
             continue
-        table.add_row(name, f"{value:.6g}" if isinstance(value, float) else str(value))
+        table.add_row(escape(name), f"{value:.6g}" if isinstance(value, float) else escape(str(value)))
     console.print(table)

@@ -1,0 +1,90 @@
+"""What a scenario puts into a unit: bytes on its line at times, parameters in its memory."""
+
+from __future__ import annotations
+
+from .clock import NS_PER_S
+from .configuration import camera_model, processor_profile, trajectory_of
+from .errors import ConfigurationError
+from .naming import resolve_fields
+from .onboard.parameters import BY_NAME
+from .profile import UnitProfile
+from .protocol.errors import LocalProtocolError
+from .protocol.framing import slip_encode
+from .protocol.registry import encode_telecommand
+from .scenario import Scenario, ScenarioTelecommand
+from .world.time_scales import tai_ns_from_utc
+
+SCENARIO_SOURCE_ID = 0x5C  # the source of a scenario's own telecommands, apart from any OBC's
+
+
+def telecommands_of(scenario: Scenario, apid: int) -> list[tuple[int, bytes]]:
+    """(virtual time in ns, bytes of the line) of each telecommand, in the order of the file.
+
+    Raises:
+        ConfigurationError: names the scenario, the telecommand, the field and what is allowed.
+    """
+    return [
+        (round(item.at_s * NS_PER_S), _bytes_of(scenario, number, item, apid))
+        for number, item in enumerate(scenario.telecommands)
+    ]
+
+
+def _bytes_of(scenario: Scenario, number: int, telecommand: ScenarioTelecommand, apid: int) -> bytes:
+    if telecommand.raw_hex is not None:
+        return bytes.fromhex(telecommand.raw_hex)
+    assert telecommand.name is not None  # the scenario's own validation sees to it
+    try:
+        fields = resolve_fields(telecommand.name, telecommand.fields)
+        packet = encode_telecommand(
+            telecommand.name,
+            fields,
+            apid=apid,
+            sequence_count=number & 0x3FFF,
+            source_id=SCENARIO_SOURCE_ID,
+        )
+    except LocalProtocolError as error:
+        raise ConfigurationError(f"{scenario.where}: telecommands.{number}: {error}") from error
+    return slip_encode(packet)
+
+
+def parameters_of(scenario: Scenario) -> dict[str, float | int]:
+    """The on-board parameters that a scenario sets, as the unit keeps them.
+
+    Raises:
+        ConfigurationError: names the scenario, the parameter and what is allowed.
+    """
+    parameters = {}
+    for name, value in scenario.parameters.items():
+        definition = BY_NAME.get(name)
+        if definition is None or definition.read_only:
+            allowed = ", ".join(item.name for item in BY_NAME.values() if not item.read_only)
+            raise ConfigurationError(
+                f"{scenario.where}: parameters.{name}: is not a parameter to set; allowed are {allowed}"
+            )
+        try:
+            parameters[name] = definition.as_carried(value)
+        except LocalProtocolError as error:
+            raise ConfigurationError(f"{scenario.where}: parameters.{name}: {error}") from error
+    return parameters
+
+
+def check_inputs(profile: UnitProfile, scenario: Scenario) -> None:
+    """Everything that can be wrong with a unit file and a scenario together, before anything is opened.
+
+    Raises:
+        ConfigurationError: names the file, the key and what is allowed.
+    """
+    camera_model(profile)
+    processor_profile(profile)
+    telecommands_of(scenario, profile.apid)
+    parameters_of(scenario)
+    try:
+        trajectory_of(scenario, tai_ns_from_utc(scenario.start_utc))
+    except ValueError as error:
+        raise ConfigurationError(f"{scenario.where}: trajectory: {error}") from error
+    brightest, faintest = scenario.sky.false_spot_magnitudes
+    if brightest > faintest:
+        raise ConfigurationError(
+            f"{scenario.where}: sky.false_spot_magnitudes: found [{brightest:g}, {faintest:g}]; allowed are "
+            f"two magnitudes, the brighter (smaller) one first"
+        )
