@@ -25,11 +25,14 @@ def reports(unit: str, ra_deg: float, dec_deg: float) -> list[dict]:
     sent = bytearray()
     scenario = Scenario(
         trajectory=InertialTrajectory(ra_deg=ra_deg % 360, dec_deg=dec_deg),
-        telecommands=[ScenarioTelecommand(at_s=0.6, name="function", fields={"function_id": 2, "arguments": {}})],
+        telecommands=[
+            ScenarioTelecommand(at_s=0.6, name="function", fields={"function_id": 2, "arguments": {}})
+        ],
     )
     emulator = Emulator(load_unit(unit), scenario, transmit=lambda data, t_ns: sent.extend(data))
     emulator.advance(3_000_000_000)
-    packets = [reference_decoder.decode_telemetry(raw) for raw in reference_decoder.slip_frames(bytes(sent))]
+    frames = reference_decoder.slip_frames(bytes(sent))
+    packets = [reference_decoder.decode_telemetry(raw) for raw in frames]
     return [item["fields"] for item in packets if (item["service"], item["subservice"]) == (130, 1)]
 
 

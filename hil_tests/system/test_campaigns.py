@@ -5,14 +5,15 @@ from __future__ import annotations
 import pytest
 from rich.console import Console
 
-from st_emulator.campaigns.registry import CampaignRequest, CampaignResult, _campaigns
+from st_emulator.campaigns.campaign import CampaignRequest, CampaignResult
+from st_emulator.campaigns.registry import campaigns
 from st_emulator.campaigns.workers import Progress, Workers
 from st_emulator.profile import load_unit
 
 
 def campaign(name: str, unit: str, n: int) -> CampaignResult:
     with Progress(Console(quiet=True), name) as progress:
-        return _campaigns()[name].run(CampaignRequest(load_unit(unit), n, 11, Workers(1, progress)))
+        return campaigns()[name].run(CampaignRequest(load_unit(unit), n, 11, Workers(1, progress)))
 
 
 @pytest.mark.parametrize(("unit", "arcsec"), [("roja1", 0.61), ("zy3", 1.67)])

@@ -13,7 +13,7 @@ from ..scenario import EarthFixedTrajectory, Scenario, ScenarioTelecommand
 from ..world import quaternion
 from ..world.time_scales import tai_ns_from_utc
 from .bench import STARS_ONLY
-from .registry import CampaignRequest, CampaignResult
+from .campaign import CampaignRequest, CampaignResult
 
 EARTH_RATE_DEG_S = 0.00417807  # 360 deg in a sidereal day of 86164.1 s
 PAPER_ERROR_DEG_S = 3.84e-4

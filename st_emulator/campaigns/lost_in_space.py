@@ -11,7 +11,7 @@ from ..profile import UnitProfile
 from ..report import check
 from ..world.trajectory import InertialTrajectory
 from .bench import Chain, error_arcsec, random_pointings
-from .registry import CampaignRequest, CampaignResult
+from .campaign import CampaignRequest, CampaignResult
 
 FRAMES = 4
 ELIGIBLE_STARS = 5

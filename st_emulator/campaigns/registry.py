@@ -4,33 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 from rich.console import Console
 
 from ..errors import ConfigurationError
-from ..profile import UnitProfile, load_unit
-from ..report import Check, all_hold, show_checks, show_figures, write_json
+from ..profile import load_unit
+from ..report import all_hold, show_checks, show_figures, write_json
+from .campaign import CampaignRequest, CampaignResult
 from .workers import Progress, Workers
-
-
-@dataclass(frozen=True)
-class CampaignRequest:
-    """What a campaign is asked for."""
-
-    profile: UnitProfile
-    n: int
-    seed: int
-    workers: Workers
-
-
-@dataclass
-class CampaignResult:
-    """Figures for JSON and the table, and the checks they are held to."""
-
-    figures: dict[str, Any]
-    checks: list[Check] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -42,15 +24,16 @@ class Campaign:
     run: Callable[[CampaignRequest], CampaignResult]
 
 
-def _campaigns() -> dict[str, Campaign]:
+def campaigns() -> dict[str, Campaign]:
+    """All campaigns by name."""
     # Imported here: the command line's help needs none of it.
     from . import accuracy, earth_rate, lost_in_space, single_stars, star_quadruples, tracking_rate
 
     return {
         "accuracy": Campaign("attitude error over seeded pointings", 100, accuracy.run),
-        "centroids": Campaign("centroid error by magnitude, at rest", 40, single_stars.run_centroids),
+        "centroids": Campaign("centroid error by magnitude, at rest", 200, single_stars.run_centroids),
         "detection": Campaign(
-            "detection probability by magnitude, false clusters", 40, single_stars.run_detection
+            "detection probability by magnitude, false clusters", 400, single_stars.run_detection
         ),
         "earth-rate": Campaign("the Earth's rotation from telemetered attitudes", 200, earth_rate.run),
         "lost-in-space": Campaign("lost in space over random pointings", 1000, lost_in_space.run),
@@ -84,7 +67,7 @@ def run_campaign(
     """Run a campaign; returns the exit status: 0 when every check holds, else 1."""
     if name not in CAMPAIGNS:
         raise ConfigurationError(f"no campaign '{name}': there are {', '.join(CAMPAIGNS)}")
-    campaign = _campaigns()[name]
+    campaign = campaigns()[name]
     profile = load_unit(unit)
     count = n if n is not None else campaign.default_n
     started = time.perf_counter()

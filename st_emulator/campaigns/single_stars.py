@@ -16,7 +16,7 @@ from ..profile import UnitProfile
 from ..report import check
 from ..world.trajectory import InertialTrajectory
 from .bench import Chain, random_pointings
-from .registry import CampaignRequest, CampaignResult
+from .campaign import CampaignRequest, CampaignResult
 
 CENTROID_TARGET_PX = 0.04  # R: centroiding better than 0.04 px
 CENTROID_LIMIT_MAG = 6.0

@@ -11,7 +11,7 @@ from ..report import check
 from ..world import quaternion
 from ..world.trajectory import InertialTrajectory
 from .bench import Chain
-from .registry import CampaignRequest, CampaignResult
+from .campaign import CampaignRequest, CampaignResult
 
 #: Hipparcos numbers, R table 3 (night of 2012-10-18).
 QUADRUPLES = (

@@ -15,7 +15,7 @@ from ..report import check
 from ..world import quaternion
 from ..world.slew import Hold, RateAxis, SlewTrajectory
 from .bench import Chain, error_arcsec, random_pointings
-from .registry import CampaignRequest, CampaignResult
+from .campaign import CampaignRequest, CampaignResult
 
 REST_S = 1.0
 AT_RATE_S = 2.0
