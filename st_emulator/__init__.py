@@ -10,8 +10,8 @@ __version__ = "0.1.0"
 def _keep_compiled_kernels_apart() -> None:
     """Let numba keep compiled kernels by the contents of our sources.
 
-    Numba compiles a kernel anew when its own file has changed, not when a kernel of another file that it calls has:
-    after an update it would run the old code. ``NUMBA_CACHE_DIR`` set by the user is left as it is.
+    Numba compiles a kernel anew when its own file has changed, not when a kernel of another file that it
+    calls has: after an update it would run the old code. ``NUMBA_CACHE_DIR`` set by the user stays.
     """
     if "NUMBA_CACHE_DIR" in os.environ:
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
@@ -57,7 +57,13 @@ def run(
     ] = None,
     scenario: Annotated[
         Path | None,
-        typer.Option("--scenario", metavar="FILE", help="Trajectory, sky and telecommands at times (TOML)."),
+        typer.Option(
+            "--scenario",
+            metavar="FILE",
+            help="Trajectory, sky and telecommands at times (TOML). Without one the unit is at rest; on a "
+            "line its world starts at the computer's date (UTC), as an OBC sets the real time; with `--link "
+            "none` at a fixed date.",
+        ),
     ] = None,
     speed: Annotated[
         str,
@@ -211,7 +217,7 @@ def replay(
 
 @app.command()
 def prepare() -> None:
-    """Compile the kernels and build the star tables of the shipped units, so that no first run waits for them."""
+    """Compile the kernels and build the star tables of the shipped units, so that no first run waits."""
     from .profile import load_unit, unit_names
     from .warm_up import warm_up
 
@@ -226,8 +232,9 @@ def prepare() -> None:
 def units(json_path: Json = None) -> None:
     """List the shipped units."""
     from .profile import load_unit, unit_names
-    from .report import write_json
+    from .report import require_json_path, write_json
 
+    require_json_path(json_path)
     profiles = [load_unit(name) for name in unit_names()]
     if json_path != "-":
         for profile in profiles:
@@ -240,7 +247,11 @@ def units(json_path: Json = None) -> None:
 def _write_document(text: str, out: Path, check: bool) -> None:
     """Write a generated document, or with ``check`` say whether the written one is up to date."""
     if check:
-        if not out.exists() or out.read_text(encoding="utf-8") != text:
+        try:
+            stale = not out.exists() or out.read_bytes() != text.encode()
+        except OSError as error:
+            raise ConfigurationError(f"{out}: cannot be read: {error.strerror}") from error
+        if stale:
             raise ConfigurationError(
                 f"{out}: out of date; write it anew with the same command without --check"
             )
@@ -309,7 +320,14 @@ def main() -> None:
     try:
         app()
     except (ConfigurationError, LinkError, RecordedFrameError) as error:
-        print(f"st-emulator: {error}", file=sys.stderr)
-        sys.exit(2)
+        _refuse(str(error))
     except BrokenPipeError:
         sys.exit(1)
+    except OSError as error:  # of a file or folder that nothing above knows by name
+        where = f"{error.filename}: " if error.filename is not None else ""
+        _refuse(f"{where}{error.strerror or error}")
+
+
+def _refuse(message: str) -> NoReturn:
+    print("st-emulator:", " ".join(message.split()), file=sys.stderr)
+    sys.exit(2)

@@ -5,7 +5,6 @@ to shutdown.
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from .errors import ConfigurationError
@@ -25,7 +25,7 @@ from .listening import TelemetryListener
 from .obc import Attitude, Obc, ObcError
 from .profile import UnitProfile, load_unit
 from .protocol.enumerations import EventId, Mode
-from .report import Check, all_hold, check, show_checks, show_figures, write_json
+from .report import Check, all_hold, check, require_json_path, show_checks, show_figures, write_json
 from .world import quaternion
 from .world.time_scales import tai_ns_from_utc
 
@@ -36,7 +36,8 @@ LOST_IN_SPACE_TARGET_S = 2.0
 TRACKING_SHARE_TARGET = 0.95
 SLEW_RATE_SHARE = 0.8  # peak rate of the slew, of the unit's largest rate
 MOST_SLEW_DEG = 3.0
-START_TIMEOUT_S = 60.0
+START_TIMEOUT_S = 300.0  # a first start compiles the kernels
+END_TIMEOUT_S = 10.0
 START_UTC = "2026-01-15T00:00:00Z"
 
 
@@ -90,56 +91,92 @@ def run_demo(
     unit: str, seconds: float, json_path: str | None, out: Path, seed: int | None, console: Console
 ) -> int:
     """Run the demo; exit status 0 when every check holds, else 1."""
+    require_json_path(json_path)
     profile = load_unit(unit)
+    scenario_path, link = out / "scenario.toml", out / "tracker"
     try:
         out.mkdir(parents=True, exist_ok=True)
+        _clear(out)
+        scenario_path.write_text(
+            demo_scenario(profile, seconds, 1 if seed is None else seed), encoding="utf-8"
+        )
     except OSError as error:
-        raise ConfigurationError(f"--out {out}: cannot be made: {error.strerror}") from error
-    scenario_path = out / "scenario.toml"
-    scenario_path.write_text(demo_scenario(profile, seconds, 1 if seed is None else seed), encoding="utf-8")
-    link = out / "tracker"
-    shutil.rmtree(out / "telemetry", ignore_errors=True)  # of an earlier demo; a recorder never overwrites
-    console.print(f"[bold]st-emulator demo[/]: {profile.unit.title}, {seconds:g} s in real time")
+        raise ConfigurationError(f"--out {out}: cannot be used: {error.strerror}") from error
+    console.print(f"[bold]st-emulator demo[/]: {escape(profile.unit.title)}, {seconds:g} s in real time")
     command = [
         *(sys.executable, "-m", "st_emulator", "run", unit, "--quiet"),
         *("--link", f"pty:{link}", "--scenario", str(scenario_path)),
         *("--journal", str(out / "journal.jsonl"), "--truth", str(out / "truth.jsonl"), "--store", "none"),
     ]
+    before = _identity(link)
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
-        session = _operate(process, link, profile, seconds, out, console)
-        try:
-            _, said = process.communicate(timeout=10)
-        except subprocess.TimeoutExpired:
-            process.terminate()
-            _, said = process.communicate(timeout=10)
+        session = _operate(process, link, before, profile, seconds, out, console)
     finally:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
+        said = _end(process)
     if process.returncode != 0:
-        session.problem = (
-            session.problem or f"the emulator ended with status {process.returncode}: {said.strip()}"
+        session.problem = "; ".join(
+            text
+            for text in (session.problem, f"the emulator ended with status {process.returncode}: {said}")
+            if text
         )
     if session.problem:
-        console.print(f"[red]{session.problem}[/]")
-    figures, checks, series = evaluate(profile, seconds, session, out)
+        console.print(f"[red]{escape(session.problem)}[/]")
+    figures, checks, series = evaluate(profile, seconds, session, read_truth(out / "truth.jsonl"))
     picture = out / "demo.png"
     try:
         _draw(profile, series, out, picture)
         figures["picture"] = str(picture)
-    except (OSError, ValueError) as error:
-        console.print(f"[red]no picture: {error}[/]")
+    except (OSError, ValueError, ConfigurationError) as error:
+        console.print(f"[red]no picture: {escape(str(error))}[/]")
     show_figures(console, "demo", figures)
     show_checks(console, checks)
-    console.print(f"journal, truth, telemetry and picture are in {out}/")
+    console.print(f"journal, truth, telemetry and picture are in {escape(str(out))}/", soft_wrap=True)
     write_json(json_path, figures, checks)
     return 0 if all_hold(checks) and not session.problem else 1
+
+
+def _clear(out: Path) -> None:
+    """Remove what an earlier demo left: a recorder never writes over a recording, and an emulator that does
+    not come up must not leave an old journal to be taken for its own.
+    """
+    folder = out / "telemetry"
+    for path in (*folder.glob("*.jsonl"), *folder.glob("*.csv"), folder / "session.json"):
+        path.unlink(missing_ok=True)
+    for name in ("journal.jsonl", "truth.jsonl", "demo.png"):
+        (out / name).unlink(missing_ok=True)
+
+
+def _identity(link: Path) -> tuple[int, int] | None:
+    """What tells one symbolic link from another that took its place."""
+    try:
+        status = link.lstat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_ctime_ns
+
+
+def _end(process: subprocess.Popen[str]) -> str:
+    """Wait for the emulator's own end, or bring it about; what it said on standard error."""
+    try:
+        if sys.exc_info()[0] is not None:
+            process.terminate()
+        for means in (process.terminate, process.kill):
+            try:
+                return process.communicate(timeout=END_TIMEOUT_S)[1].strip()
+            except subprocess.TimeoutExpired:
+                means()
+        return process.communicate()[1].strip()
+    except BaseException:
+        process.kill()
+        process.wait()
+        raise
 
 
 def _operate(
     process: subprocess.Popen[str],
     link: Path,
+    before: tuple[int, int] | None,
     profile: UnitProfile,
     seconds: float,
     out: Path,
@@ -155,15 +192,23 @@ def _operate(
         transient=True,
     ) as progress:
         task = progress.add_task("demo", total=seconds, doing="emulator starts")
-        _await_link(process, link)
-        started = time.monotonic()
+        _await_link(process, link, before)
+        try:
+            obc = Obc.connect(f"pty:{link}", apid=profile.apid, record=out / "telemetry")
+        except LinkError as error:
+            session.problem = f"the OBC could not connect: {error}"
+            return session
+        power_on_ns = obc.now_ns()  # until the unit's own time is known
+
+        def elapsed_s() -> float:
+            return (obc.now_ns() - power_on_ns) * 1e-9
 
         def do(doing: str) -> None:
-            progress.update(task, completed=time.monotonic() - started, doing=doing)
+            progress.update(task, completed=elapsed_s(), doing=doing)
             if not console.is_terminal:
-                console.print(f"{time.monotonic() - started:6.1f} s  {doing}")
+                console.print(f"{elapsed_s():6.1f} s  {doing}")
 
-        with Obc.connect(f"pty:{link}", apid=profile.apid, record=out / "telemetry") as obc:
+        with obc:
 
             def command(doing: str, action: Any) -> None:
                 do(doing)
@@ -172,10 +217,12 @@ def _operate(
                 session.verified += 1
 
             try:
-                _await_boot(obc, session, do)
+                do("boot")
+                power_on_ns = _await_boot(obc)
                 command("self-test", obc.self_test)
                 command("ping", obc.ping)
-                command("set time", lambda: obc.set_time(_world_tai_ns(obc)))
+                start_ns = tai_ns_from_utc(START_UTC)
+                command("set time", lambda: obc.set_time(start_ns + obc.now_ns() - power_on_ns))
                 command("housekeeping on", lambda: obc.enable_housekeeping("TIMING"))
                 session.acquire_ns = obc.now_ns()
                 command("lost in space", obc.acquire)
@@ -188,9 +235,9 @@ def _operate(
                 for share, doing in phase:
                     do(doing)
                     until = min(share * seconds, seconds - SHUTDOWN_S)
-                    while (left := until - (time.monotonic() - started)) > 0:
+                    while (left := until - elapsed_s()) > 0:
                         obc.wait(min(0.5, left))
-                        progress.update(task, completed=time.monotonic() - started)
+                        progress.update(task, completed=elapsed_s())
                 command("status", lambda: obc.housekeeping("STATUS"))
                 command("shutdown", obc.shutdown)
                 do("emulator ends")
@@ -206,9 +253,12 @@ def _operate(
     return session
 
 
-def _await_link(process: subprocess.Popen[str], link: Path) -> None:
+def _await_link(process: subprocess.Popen[str], link: Path, before: tuple[int, int] | None) -> None:
+    """Wait for the emulator's link; one left behind by a killed emulator may lead to a terminal of somebody
+    else by now.
+    """
     deadline = time.monotonic() + START_TIMEOUT_S
-    while not link.exists():
+    while _identity(link) in (None, before):
         if process.poll() is not None:
             said = process.stderr.read() if process.stderr is not None else ""
             raise ConfigurationError(f"the emulator did not start: {said.strip()}")
@@ -217,20 +267,15 @@ def _await_link(process: subprocess.Popen[str], link: Path) -> None:
         time.sleep(0.02)
 
 
-def _await_boot(obc: Obc, session: Session, do: Any) -> None:
-    """Wait for the first sign of life: a late listener may have missed the boot event, housekeeping
-    comes each second.
+def _await_boot(obc: Obc) -> int:
+    """Wait for the first sign of life and give the OBC's time of the unit's power-on.
+
+    A late listener may have missed the boot event; housekeeping comes each second. Until its time is set the
+    unit counts from power-on.
     """
-    do("boot")
     obc.wait_for("hk_report", lambda telemetry: True, timeout_s=START_TIMEOUT_S)
-
-
-def _world_tai_ns(obc: Obc) -> int:
-    """The date in the unit's world now. Until its time is set the unit counts from power-on, when the
-    scenario starts.
-    """
     last = obc.telemetry_since()[-1]
-    return tai_ns_from_utc(START_UTC) + last.telemetry.time.to_ns() + obc.now_ns() - last.time_ns
+    return last.time_ns - last.telemetry.time.to_ns()
 
 
 @dataclass
@@ -246,15 +291,30 @@ class Series:
     modes: list[tuple[float, Mode]]
 
 
-def evaluate(
-    profile: UnitProfile, seconds: float, session: Session, out: Path
-) -> tuple[dict[str, Any], list[Check], Series]:
-    """Figures and checks from what the OBC received and from the truth file."""
+def read_truth(path: Path) -> dict[int, dict[str, Any]]:
+    """Truth by frame index; empty without a file, and without the last line where a kill cut it short."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return {}
     truth: dict[int, dict[str, Any]] = {}
-    with (out / "truth.jsonl").open(encoding="utf-8") as file:
-        for line in file:
+    for line in lines:
+        try:
             record = json.loads(line)
-            truth[record["frame_index"]] = record
+        except json.JSONDecodeError:
+            break
+        truth[record["frame_index"]] = record
+    return truth
+
+
+def evaluate(
+    profile: UnitProfile, seconds: float, session: Session, truth: dict[int, dict[str, Any]]
+) -> tuple[dict[str, Any], list[Check], Series]:
+    """Figures and checks from what the OBC received and from the truth by frame index.
+
+    A frame after the first valid attitude of which no report came counts as not tracked. Errors are root mean
+    squares over the valid attitudes at rest, cross-boresight per axis.
+    """
     reports = [report for report in session.attitudes if report.frame_index in truth]
     errors, at_rest = [], []
     for report in reports:
@@ -274,11 +334,11 @@ def evaluate(
     acquired_s = None
     if first_valid is not None:
         acquired_s = (first_valid.received_ns - session.acquire_ns) * 1e-9
-    after = np.arange(len(reports)) > (
-        reports.index(first_valid) if first_valid is not None else len(reports)
-    )
     tracking = valid & (mode == Mode.TRACKING)
-    share = float(np.mean(tracking[after])) if after.any() else None
+    share = None
+    if first_valid is not None and index.max() > first_valid.frame_index:
+        after = index > first_valid.frame_index
+        share = int(tracking[after].sum()) / int(index.max() - first_valid.frame_index)
     good = valid & rest
     cross = float(np.sqrt(np.mean(np.square(error[good, :2])))) if good.any() else None
     roll = float(np.sqrt(np.mean(np.square(error[good, 2])))) if good.any() else None

@@ -22,25 +22,20 @@ def schema_text(model: type[BaseModel]) -> str:
 
 
 MODELLED = """\
-**Modelled.** The bytes of every packet and the time at which each leaves: the line's baud rate, ten bits a
-byte; the
-frame's exposure, read-out and processing time, from the work that the algorithms really did on that frame
-(pixels
-scanned, pairs compared, stars solved) times the cycles that each unit of work costs on the processor; late
-attitudes,
-dropped frames; the latency of telecommands; the non-volatile memory.
+**Modelled.** The bytes of every packet and the time at which each leaves: the line's baud rate, ten bits
+a byte; the frame's exposure, read-out and processing time, from the work that the algorithms really did
+on that frame (pixels scanned, pairs compared, stars solved) times the cycles that each unit of work
+costs on the processor; late attitudes, dropped frames; the latency of telecommands; the non-volatile
+memory.
 
 **Not modelled.** Interrupt load and direct memory access of the camera in the cycle budget; cycles that
-telecommands
-take from a frame; temperature (a constant); the vendor's boot loader. Cycle costs are estimates with their
-evidence
-in the unit's table of costs; a flight program of other authors may differ by a factor of two.
+telecommands take from a frame; temperature (a constant); the vendor's boot loader. Cycle costs are
+estimates with their evidence in the unit's table of costs; a flight program of other authors may differ
+by a factor of two.
 
-**Memories** (service 6): RAM, a patch area of 65536 bytes, readable and writable; NON_VOLATILE, the stored
-parameters as
-JSON text, read only; IMAGE, the captured image with its header as in service 13, read only, absent until
-an image is
-captured.
+**Memories** (service 6): RAM, a patch area of 65536 bytes, readable and writable; NON_VOLATILE, the
+stored parameters as JSON text, read only; IMAGE, the captured image with its header as in service 13,
+read only, absent until an image is captured.
 """
 
 
@@ -80,9 +75,8 @@ def _modes(modes: Sequence[Mode]) -> str:
 def interface_control_document_text() -> str:
     """The interface control document of the shipped units, Markdown."""
     allowed = (
-        "**Telecommands by mode.** In BOOT and OFF the receiver is off and bytes are lost; in a mode "
-        "that is not named "
-        "below a telecommand fails its acceptance with NOT_ALLOWED_IN_MODE.\n\n"
+        "**Telecommands by mode.** In BOOT and OFF the receiver is off and bytes are lost; in a mode that is "
+        "not named below a telecommand fails its acceptance with NOT_ALLOWED_IN_MODE.\n\n"
     )
     return interface_control_document(
         unit_notes=unit_notes(),

@@ -12,7 +12,7 @@ from .errors import ConfigurationError
 
 
 class OutputFile:
-    """A new UTF-8 text file. Opening, writing and closing raise ConfigurationError (a folder, a full disk)."""
+    """A new UTF-8 text file. Opening, writing, closing raise ConfigurationError (a folder, a full disk)."""
 
     def __init__(self, path: Path, option: str) -> None:
         self._what = f"{option} {path}"

@@ -28,6 +28,7 @@ SPOT_COLOUR = "#ff5252"
 INK = "#e8eaed"
 PAPER = "#14171c"
 MOST_LABELS = 14
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf", ".jpg")
 MODE_ORDER = [Mode.OFF, Mode.BOOT, Mode.SELF_TEST, Mode.STANDBY, Mode.LOST_IN_SPACE, Mode.TRACKING]
 STYLE: dict[Any, Any] = {
     "figure.facecolor": PAPER,
@@ -99,6 +100,20 @@ def _frame_on(axes: Any, frame: Any, result: FrameResult) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=7, ncols=3, borderaxespad=0.2)
 
 
+def require_picture_path(path: Path) -> None:
+    """See before the work that a picture can be written afterwards.
+
+    Raises:
+        ConfigurationError: a suffix that is no picture's, or a folder that does not exist.
+    """
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise ConfigurationError(
+            f"{path}: suffix {path.suffix or 'missing'}; allowed are {', '.join(PICTURE_SUFFIXES)}"
+        )
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise ConfigurationError(f"{path}: cannot be written: allowed is a file in a folder that exists")
+
+
 def _save(figure: Any, path: Path) -> None:
     try:
         figure.savefig(path, dpi=110)
@@ -114,7 +129,7 @@ def draw_frame(frame: Any, result: FrameResult, path: Path, title: str) -> None:
         aspect = frame.height_px / frame.width_px
         figure, axes = plt.subplots(figsize=(11, 11 * aspect + 1.2), layout="constrained")
         _frame_on(axes, frame, result)
-        axes.set_title(title)
+        axes.set_title(title.replace("$", r"\$"))
         _save(figure, path)
 
 

@@ -46,6 +46,7 @@ class StopSignal:
 
     def __init__(self) -> None:
         self.stopped = False
+        self._interrupts = False
         self._read, self._write = socket.socketpair()
         self._read.setblocking(False)
         self._write.setblocking(False)
@@ -60,6 +61,19 @@ class StopSignal:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.stop()
+        if self._interrupts:
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def interrupting(self) -> Iterator[None]:
+        """In the block a signal raises KeyboardInterrupt: for work that does not look at the flag."""
+        if self.stopped:
+            raise KeyboardInterrupt
+        self._interrupts = True
+        try:
+            yield
+        finally:
+            self._interrupts = False
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[StopSignal]:

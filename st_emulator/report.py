@@ -66,7 +66,7 @@ def require_json_path(path: str | Path | None) -> None:
 
 
 def plain(value: Any) -> Any:
-    """``value`` as JSON holds it: numpy's numbers and arrays as Python's; what is no finite number is null."""
+    """``value`` as JSON holds it: numpy's numbers as Python's; what is no finite number is null."""
     if isinstance(value, Mapping):
         return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -6,20 +6,23 @@ import contextlib
 import math
 import os
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TextIO
 
 from rich.console import Console
+from rich.markup import escape
 
 from .clock import NS_PER_S
 from .emulator import Emulator
 from .errors import ConfigurationError
-from .links import open_link, parse_link
+from .links import Link, open_link, parse_link
 from .onboard.imaging import Lazy
 from .onboard.parameter_store import FileStore, Store, VolatileStore
+from .output_file import OutputFile
 from .profile import UnitProfile, load_unit
 from .realtime import FrameWorker, StopSignal, run_paced, run_unpaced
 from .scenario import Scenario, load_scenario
+from .scenario_inputs import check_inputs
 from .warm_up import warm_up
 from .world.recorded import RecordedFrames
 
@@ -63,13 +66,18 @@ def parse_speed(text: str) -> float:
     return speed
 
 
-def open_output(stack: contextlib.ExitStack, path: Path | None, option: str) -> TextIO | None:
-    if path is None:
-        return None
-    try:
-        return stack.enter_context(path.open("w", encoding="utf-8"))
-    except OSError as error:
-        raise ConfigurationError(f"{option} {path}: cannot be written: {error.strerror}") from error
+def open_output(stack: contextlib.ExitStack, path: Path | None, option: str) -> OutputFile | None:
+    return None if path is None else stack.enter_context(OutputFile(path, option))
+
+
+def scenario_of(options: RunOptions, live: bool) -> Scenario:
+    """The scenario asked for. Without one a live unit starts at the computer's date, whole second, as its
+    OBC will set its time by a real clock; a unit without an OBC starts at a fixed date, so that every run
+    is the same.
+    """
+    if options.scenario is not None:
+        return load_scenario(options.scenario)
+    return Scenario(start_utc=datetime.now(UTC).replace(microsecond=0)) if live else Scenario()
 
 
 def open_store(options: RunOptions, profile: UnitProfile) -> tuple[Store, str]:
@@ -77,48 +85,61 @@ def open_store(options: RunOptions, profile: UnitProfile) -> tuple[Store, str]:
     if options.store == "none" or (options.store is None and options.scenario is not None):
         return VolatileStore(), "factory parameters, forgotten at the end"
     path = (
-        Path(options.store)
+        Path(options.store).expanduser()
         if options.store is not None
         else state_folder() / f"{profile.name}.parameters.json"
     )
-    return FileStore(path, profile.name), str(path)
+    if path.is_dir():
+        raise ConfigurationError(f"--store {path}: is a folder; allowed are a file's path or none")
+    store = FileStore(path, profile.name)
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise ConfigurationError(f"--store {path}: cannot be written: permission denied")
+    return store, str(path)
 
 
 def run_unit(options: RunOptions) -> None:
-    """Run a unit as ``st-emulator run`` does.
+    """Run a unit as ``st-emulator run`` does, until its end, Ctrl-C or SIGTERM.
 
     Raises:
         ConfigurationError, LinkError, RecordedFrameError: something the user can mend.
     """
-    console = Console(quiet=options.quiet, stderr=True)
-    profile = load_unit(options.unit)
-    scenario = load_scenario(options.scenario) if options.scenario is not None else Scenario()
+    console = Console(quiet=options.quiet, stderr=True, soft_wrap=True, highlight=False)
     speed = parse_speed(options.speed)
     link_text = options.link if options.link is not None else ("pty" if speed == 1 else "none")
     specification = parse_link(link_text)
-    if specification.kind != "none" and speed != 1:
+    live = specification.kind != "none"
+    if live and speed != 1:
         raise ConfigurationError(
             f"--speed {options.speed} with --link {link_text}: a live OBC keeps its own time, so only "
-            f"--speed 1 is "
-            "allowed; use --link none (telecommands from the scenario) for other speeds"
+            "--speed 1 is allowed; use --link none (telecommands from the scenario) for other speeds"
         )
+    profile = load_unit(options.unit)
+    scenario = scenario_of(options, live)
+    check_inputs(profile, scenario)
     duration_s = options.seconds if options.seconds is not None else scenario.duration_s
+    if duration_s is not None and not math.isfinite(duration_s):
+        raise ConfigurationError(f"--seconds {duration_s:g}: allowed is a finite number of seconds")
     if duration_s is None and speed == math.inf:
         raise ConfigurationError("--speed max needs an end: give --seconds, or duration_s in the scenario")
-    until_ns = None if duration_s is None else round(duration_s * NS_PER_S)
+    if options.journal is not None and options.journal == options.truth:
+        raise ConfigurationError(f"--truth {options.truth}: is the journal too; allowed is a file of its own")
     frames = None
     if options.frames is not None:
         frames = RecordedFrames(options.frames, profile.detector.columns, profile.detector.rows)
+    stop = StopSignal()
     with contextlib.ExitStack() as stack:
+        stack.callback(stop.close)
+        stack.enter_context(stop.installed())
         store, store_text = open_store(options, profile)
         link = stack.enter_context(open_link(specification, "unit", profile.wire.baud, profile.name))
         journal = open_output(stack, options.journal, "--journal")
         truth = open_output(stack, options.truth, "--truth")
-        stop = StopSignal()
-        stack.callback(stop.close)
-        stack.enter_context(stop.installed())
-        with console.status("loading catalogue and compiled kernels"):
-            warm_up(profile)
+        try:
+            with stop.interrupting(), console.status("loading catalogue and compiled kernels"):
+                warm_up(profile)
+        except KeyboardInterrupt:
+            console.print("stopped before power-on")
+            return
         worker = FrameWorker() if speed != math.inf else None
         if worker is not None:
             stack.callback(worker.close)
@@ -136,15 +157,8 @@ def run_unit(options: RunOptions) -> None:
             pace_reception=specification.kind != "serial",
             baud=specification.baud,
         )
-        rate_hz = 1000 / profile.timing.frame_period_ms
-        console.print(f"[bold]{profile.unit.title}[/]")
-        console.print(
-            f"link {link.name}, {emulator.baud} baud, APID {profile.apid}, frames at {rate_hz:g} Hz, "
-            f"seed {emulator.seed}"
-        )
-        console.print(f"non-volatile memory: {store_text}")
-        end = "until stopped (Ctrl-C)" if until_ns is None else f"for {duration_s:g} s of virtual time"
-        console.print(f"running {end}, speed {options.speed}")
+        _announce(console, emulator, link, options, store_text, duration_s)
+        until_ns = None if duration_s is None else round(duration_s * NS_PER_S)
         try:
             if speed == math.inf:
                 assert until_ns is not None
@@ -159,3 +173,25 @@ def run_unit(options: RunOptions) -> None:
             f"{unit.frame_counters.frames_valid} valid, {unit.link_counters.tc_received} telecommands, "
             f"{unit.transmitter.packets} telemetry packets"
         )
+
+
+def _announce(
+    console: Console,
+    emulator: Emulator,
+    link: Link,
+    options: RunOptions,
+    store_text: str,
+    duration_s: float | None,
+) -> None:
+    """Say what runs and where to find it."""
+    profile = emulator.profile
+    rate_hz = 1000 / profile.timing.frame_period_ms
+    console.print(f"[bold]{escape(profile.unit.title)}[/]")
+    console.print(
+        f"link {escape(link.name)}, {emulator.baud} baud, APID {profile.apid}, frames at {rate_hz:g} Hz, "
+        f"seed {emulator.seed}"
+    )
+    console.print(f"world: from {emulator.scenario.start_utc:%Y-%m-%dT%H:%M:%SZ}")
+    console.print(f"non-volatile memory: {escape(store_text)}")
+    end = "until stopped (Ctrl-C)" if duration_s is None else f"for {duration_s:g} s of virtual time"
+    console.print(f"running {end}, speed {escape(options.speed)}")

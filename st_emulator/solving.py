@@ -12,7 +12,9 @@ from .firmware_model.firmware import FirmwareState, FrameContext, process_frame
 from .firmware_model.modes import Mode
 from .onboard.parameters import default_parameters
 from .profile import load_unit
-from .report import Check, all_hold, check, show_checks, show_figures, write_json
+from .report import Check, all_hold, check, require_json_path, show_checks, show_figures, write_json
+from .scenario import Scenario
+from .scenario_inputs import check_inputs
 from .world import quaternion
 from .world.recorded import RecordedFrames
 
@@ -20,12 +22,18 @@ from .world.recorded import RecordedFrames
 def solve_image(image: Path, unit: str, json_path: str | None, picture: Path | None, console: Console) -> int:
     """Solve and report; exit status 0 when there is a valid attitude, else 1.
 
-    ``roll_deg`` is the position angle (east of north) of the image's up direction, -Y; ``rotation_of_rows_deg`` that of
-    increasing rows, +Y, which is what astrometry.net prints as "up" for pictures stored from the top row down.
-    The time of the picture is not known to the firmware, so stellar aberration is not corrected (up to 21
-    arcsec).
+    ``roll_deg`` is the position angle (east of north) of the image's up direction, -Y;
+    ``rotation_of_rows_deg`` that of increasing rows, +Y, which is what astrometry.net prints as "up" for
+    pictures stored from the top row down. The time of the picture is not known to the firmware, so stellar
+    aberration is not corrected (up to 21 arcsec).
     """
+    require_json_path(json_path)
+    if picture is not None:
+        from .pictures import draw_frame, require_picture_path
+
+        require_picture_path(picture)
     profile = load_unit(unit)
+    check_inputs(profile, Scenario())
     frame = RecordedFrames([image], profile.detector.columns, profile.detector.rows)[0]
     configuration = firmware_configuration(profile, default_parameters(profile))
     context = FrameContext(
@@ -49,7 +57,9 @@ def solve_image(image: Path, unit: str, json_path: str | None, picture: Path | N
             "q_icrs_to_sensor": [float(value) for value in result.q_icrs_to_sensor],
         }
     else:
-        figures |= {"ra_deg": None, "dec_deg": None, "roll_deg": None}
+        figures |= dict.fromkeys(
+            ("ra_deg", "dec_deg", "roll_deg", "rotation_of_rows_deg", "q_icrs_to_sensor"), None
+        )
     sigma = np.sqrt(np.diag(result.covariance_rad2)) * 180 / np.pi * 3600
     figures |= {
         "reasons": str(result.reasons.name or "none"),
@@ -84,8 +94,6 @@ def solve_image(image: Path, unit: str, json_path: str | None, picture: Path | N
     show_figures(console, f"{image.name} by {profile.name}", figures)
     show_checks(console, checks)
     if picture is not None:
-        from .pictures import draw_frame
-
         draw_frame(frame, result, picture, title=f"{image.name} by {profile.name}")
     write_json(json_path, figures, checks)
     return 0 if all_hold(checks[:1]) else 1

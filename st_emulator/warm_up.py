@@ -5,16 +5,14 @@ from __future__ import annotations
 from .configuration import star_tables
 from .emulator import Emulator
 from .profile import UnitProfile
-from .scenario import Scenario, Sky
+from .scenario import Scenario, ScenarioTelecommand, Sky
 
 WARM_UP_S = 2.6
 
 
 def warm_up(profile: UnitProfile) -> None:
-    """Run a second of a unit in virtual time: lost in space and tracking, so that no first frame is late."""
+    """Run seconds of a unit in virtual time: lost in space and tracking, so that no first frame is late."""
     star_tables(profile)
-    from .scenario import ScenarioTelecommand
-
     scenario = Scenario(
         sky=Sky(false_spots=1),
         telecommands=[

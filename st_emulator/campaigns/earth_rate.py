@@ -19,6 +19,7 @@ EARTH_RATE_DEG_S = 0.00417807  # 360 deg in a sidereal day of 86164.1 s
 PAPER_ERROR_DEG_S = 3.84e-4
 TARGET_DEG_S = 4e-6
 ACQUIRE_S = 2.0
+LEAST_ATTITUDES = 3  # a rotation cannot be fitted to fewer
 
 
 def fitted_rotation_deg_s(t_s: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -64,6 +65,9 @@ def run(request: CampaignRequest) -> CampaignResult:
         for item in listener.named("attitude_report")
         if item.fields["valid"] and item.fields["mode"] == 4
     ]
+    if len(reports) < LEAST_ATTITUDES:
+        nothing = {"attitudes": len(reports), "rate_deg_s": None, "rate_error_deg_s": None}
+        return CampaignResult(nothing, [check("rate_error_deg_s", None, "<=", TARGET_DEG_S, "deg/s")])
     first_ns = tai_ns_from_utc(start)
     t_s = np.array([(item["mid_exposure_time"].to_ns() - first_ns) / NS_PER_S for item in reports])
     q = np.array([[item[f"q_{axis}"] for axis in "xyzw"] for item in reports])

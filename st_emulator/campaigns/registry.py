@@ -10,7 +10,9 @@ from rich.console import Console
 
 from ..errors import ConfigurationError
 from ..profile import load_unit
-from ..report import all_hold, show_checks, show_figures, write_json
+from ..report import all_hold, require_json_path, show_checks, show_figures, write_json
+from ..scenario import Scenario
+from ..scenario_inputs import check_inputs
 from .campaign import CampaignRequest, CampaignResult
 from .workers import Progress, Workers
 
@@ -67,8 +69,10 @@ def run_campaign(
     """Run a campaign; returns the exit status: 0 when every check holds, else 1."""
     if name not in CAMPAIGNS:
         raise ConfigurationError(f"no campaign '{name}': there are {', '.join(CAMPAIGNS)}")
+    require_json_path(json_path)
     campaign = campaigns()[name]
     profile = load_unit(unit)
+    check_inputs(profile, Scenario())
     count = n if n is not None else campaign.default_n
     started = time.perf_counter()
     with Progress(console, f"{name} {profile.name}") as progress:

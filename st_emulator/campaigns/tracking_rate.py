@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
 from ..firmware_model.reasons import Reason
 from ..profile import UnitProfile
@@ -49,7 +50,10 @@ def _field(chain: Chain, profile: UnitProfile, rotation: np.ndarray, pointings: 
         ]
         if all(chain.catalogue_stars_in_field(item) >= RICH_FIELD_STARS for item in way):
             return np.asarray(q)
-    raise RuntimeError("no rich field among the pointings")
+    raise ConfigurationError(
+        f"unit {profile.name}: no pointing has {RICH_FIELD_STARS} catalogue stars in the field all along the "
+        "turn; allowed are units with a wider field or a fainter catalogue.limit_mag"
+    )
 
 
 def turn(profile: UnitProfile, seed: int, index: int) -> Outcome:
