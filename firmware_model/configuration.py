@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from .catalogue.pairs import PairCatalogue
@@ -14,6 +16,8 @@ from .identification.interface import IdentificationAlgorithm, IdentificationPar
 from .identification.pyramid import identify as identify_by_pyramid
 from .image.detection import DetectionParameters
 from .tracking import TrackingParameters
+
+FloatArray = npt.NDArray[np.float64]
 
 __all__ = [
     "CentroidError",
@@ -44,7 +48,17 @@ class CentroidError:
     def window_factor(self) -> float:
         """sqrt of the sum of x^2 over the window."""
         h = self.half_window_px
-        return (2.0 * h + 1.0) * float((h * (h + 1.0) / 3.0) ** 0.5)
+        return (2.0 * h + 1.0) * math.sqrt(h * (h + 1.0) / 3.0)
+
+    def sigma_px(self, flux_dn: FloatArray, noise_dn: float) -> FloatArray:
+        """Expected error in each axis, 1 sigma, of stars of these fluxes[n] before this noise of a pixel."""
+        flux = np.maximum(flux_dn, 1.0)
+        variance = (
+            self.floor_px**2
+            + self.psf_sigma_px**2 / (flux * self.electrons_per_dn)
+            + np.square(self.window_factor * noise_dn / flux)
+        )
+        return np.asarray(np.sqrt(variance))
 
 
 @dataclass(frozen=True)

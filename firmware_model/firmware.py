@@ -228,7 +228,8 @@ def _solve(
     ASSUMED: at most a third of the stars may be dropped; more, and the rest is not to be trusted either.
     """
     least = max(min_stars, math.ceil(2.0 * len(rows) / 3.0))
-    sigma = _sigma_rad(spots, spot, configuration)
+    sigma = configuration.centroid_error.sigma_px(spots.flux_dn[spot], spots.noise_dn)
+    sigma /= configuration.geometry.focal_px
     solution, kept, solution_work = robust_q_method(measured, reference, sigma, tolerance_rad, least)
     work += solution_work
     if solution is None:
@@ -243,18 +244,6 @@ def _solve(
         solution.residuals_rad * _ARCSEC_PER_RAD,
     )
     return _Outcome(Reason.NONE, spots, stars, solution)
-
-
-def _sigma_rad(spots: Spots, spot: IntArray, configuration: FirmwareConfiguration) -> FloatArray:
-    """Expected error of each centroid, rad; see `CentroidError`."""
-    error = configuration.centroid_error
-    flux = np.maximum(spots.flux_dn[spot], 1.0)
-    variance = (
-        error.floor_px**2
-        + error.psf_sigma_px**2 / (flux * error.electrons_per_dn)
-        + np.square(error.window_factor * spots.noise_dn / flux)
-    )
-    return np.asarray(np.sqrt(variance) / configuration.geometry.focal_px)
 
 
 def _rate_too_high(

@@ -321,24 +321,9 @@ def _verify_kernel(
         return -1, 0, found
     enough = max(min_stars, (found + 1) // 2)
     for pivot in range(stars):
-        # In a merged window the brightest star is the brightest spot, the next the next; then the others
-        # are tried.
-        rank = 0
-        for other in range(pivot):
-            if window[other] == window[pivot]:
-                rank += 1
-        first = -1
-        in_window = 0
-        for spot in range(spots):
-            if spot_window[spot] == window[pivot]:
-                if first < 0:
-                    first = spot
-                in_window += 1
-        for attempt in range(in_window):
-            place = attempt
-            if rank < in_window:
-                place = rank if attempt == 0 else (attempt - 1 if attempt <= rank else attempt)
-            pivot_spot = first + place
+        for pivot_spot in range(spots):
+            if spot_window[pivot_spot] != window[pivot]:
+                continue
             counts[1] += 1
             shift_x = spot_x[pivot_spot] - x[pivot]
             shift_y = spot_y[pivot_spot] - y[pivot]

@@ -144,15 +144,29 @@ def test_spots_at_random_places_are_no_stars() -> None:
 
 def test_a_mirrored_sky_is_not_recognised() -> None:
     rng = np.random.default_rng(6)
-    refused = 0
+    refused = tested = 0
     for _ in range(50):
         b, magnitude, _ = measure(rng, NARROW, sky("narrow").view(random_attitude(rng)))
         if len(b) < 6:
             continue
-        found, _ = solve("narrow", b * [-1.0, 1.0, 1.0], magnitude)
+        found, work = solve("narrow", b * [-1.0, 1.0, 1.0], magnitude)
         assert found.reason == Reason.NO_MATCH
         refused += 1
+        tested += work["pyramids_tested"]
     assert refused > 20
+    assert tested < 5 * refused  # the handedness of the triangle tells, before any fourth star is looked for
+
+
+def test_a_spot_off_by_more_than_the_tolerance_is_not_matched() -> None:
+    rng = np.random.default_rng(16)
+    view = sky("wide").view(random_attitude(rng))
+    pixel_arcsec = 1 / WIDE.focal_px / ARCSEC
+    for off_arcsec, matched in ((15.0, True), (40.0, False)):
+        x = view.x_px.copy()
+        x[5] += off_arcsec / pixel_arcsec
+        found, _ = solve("wide", vectors_of(WIDE, x, view.y_px), view.magnitude)
+        assert bool(found.star_index[5] >= 0) == matched
+        assert found.star_index[4] >= 0
 
 
 def test_a_triangle_alone_is_never_valid() -> None:

@@ -48,6 +48,20 @@ def test_stars_near_are_those_that_brute_force_finds(
     assert tested >= len(found)
 
 
+@pytest.mark.parametrize("dec_deg", [-89.0, -80.0, 60.0, 75.0, 85.0, 89.5])
+def test_cones_that_nearly_hold_a_pole(dec_deg: float) -> None:
+    """Their width in right ascension is more than the radius over cos(dec)."""
+    vectors = random_directions(np.random.default_rng(6), 40_000)
+    vectors = np.concatenate([vectors, [direction(ra, dec_deg) for ra in range(360)]])
+    dense = build_star_catalogue(np.arange(len(vectors)), vectors, np.zeros(len(vectors)), 6.5, 0.0)
+    for ra_deg in (0.3, 123.0, 359.0):
+        for short_deg in (0.01, 0.2, 1.0):
+            radius = np.radians(max(90.0 - abs(dec_deg) - short_deg, 0.01))
+            towards = direction(ra_deg, dec_deg)
+            expected = np.flatnonzero(np.linalg.norm(vectors - towards, axis=1) <= 2 * np.sin(radius / 2))
+            assert sorted(dense.stars_near(towards, radius)[0].tolist()) == expected.tolist()
+
+
 def test_a_search_tests_few_stars_besides_those_it_finds() -> None:
     tested = [CATALOGUE.stars_near(v, np.radians(5.0))[1] for v in random_directions(RNG, 200)]
     in_cone = len(CATALOGUE) * (1 - np.cos(np.radians(5.0))) / 2

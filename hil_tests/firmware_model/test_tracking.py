@@ -156,6 +156,18 @@ def test_windows_are_clipped_and_merged_where_they_meet(seed: int) -> None:
     assert (mine[:, 3] >= np.minimum(y + plan.half_width_px + 1, 512)).all()
 
 
+def test_a_box_that_has_grown_meets_windows_it_did_not_meet_before() -> None:
+    """The first window meets neither the second nor the third, but their common box."""
+    q = random_attitude(np.random.default_rng(40))
+    x, y = np.array([100.0, 122.0, 105.0, 400.0]), np.array([100.0, 118.0, 130.0, 400.0])
+    made = SyntheticSky(vectors_of(CAMERA, x, y) @ matrix(q), np.arange(1, 5, dtype=np.float32), CAMERA, 6.0)
+    parameters = replace(PARAMETERS, rate_rad_s=OMEGA / 1.6)
+    plan = plan_for(made, q, parameters)
+    assert plan.half_width_px == 9
+    assert {tuple(rect) for rect in plan.rects.tolist()} == {(91, 91, 132, 140), (391, 391, 410, 410)}
+    assert len(set(plan.window[:3].tolist())) == 1
+
+
 def test_a_field_without_stars_has_no_windows() -> None:
     empty = SyntheticSky.make(23, 3, CAMERA, 6.0)
     away = next(
