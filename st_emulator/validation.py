@@ -97,12 +97,14 @@ def _key(data: Any, location: tuple[int | str, ...], *, last_is_key: bool) -> st
     """The key as the file's author wrote it: pydantic's location without the tags of unions."""
     parts = []
     for number, part in enumerate(location):
-        inside = part in data if isinstance(data, dict) else isinstance(data, (list, tuple))
-        if inside:
-            parts.append(str(part))
-            data = data[part] if isinstance(data, dict) or isinstance(part, int) else None
-        elif last_is_key and number == len(location) - 1:
-            parts.append(str(part))
+        if isinstance(data, dict) and part in data:
+            data = data[part]
+        elif isinstance(data, (list, tuple)) and isinstance(part, int):
+            data = data[part] if part < len(data) else None
+        elif not (last_is_key and number == len(location) - 1):
+            continue
+        text = str(part)
+        parts.append(text if text.isprintable() else repr(text))
     return ".".join(parts) or "(whole file)"
 
 
