@@ -173,9 +173,11 @@ EVENT_TABLE: tuple[EventDefinition, ...] = (
         EventId.PARAMETERS_STORED,
         _INFO,
         "parameters were written to non-volatile memory",
-        (Field("count", UINT16, meaning="number of parameters in the store"),),
+        (Field("count", UINT16, meaning="number of parameters that were set"),),
     ),
-    EventDefinition(EventId.SHUTDOWN_STARTED, _INFO, "the unit is shutting down; nothing follows"),
+    EventDefinition(
+        EventId.SHUTDOWN_STARTED, _INFO, "the unit is shutting down; what is queued still leaves"
+    ),
     EventDefinition(
         EventId.TX_QUEUE_OVERFLOWED,
         _LOW,

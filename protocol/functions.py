@@ -41,17 +41,18 @@ FUNCTION_TABLE: tuple[FunctionDefinition, ...] = (
     FunctionDefinition(
         FunctionId.START_SELF_TEST,
         "test processor, memories, catalogue and sensor",
-        verification="start; completion when all passed, completion failure SELF_TEST_FAILED otherwise",
+        verification="start; progress 1 to 4; completion when all passed, completion failure "
+        "SELF_TEST_FAILED otherwise",
     ),
     FunctionDefinition(
         FunctionId.RESET,
-        "restart the unit",
+        "abort what runs, take no more telecommands, let the queue run empty, restart",
         (Field("kind", UINT8, meaning="what is kept", choices=ResetKind),),
         verification="start; then event BOOT_COMPLETED instead of a completion report",
     ),
     FunctionDefinition(
         FunctionId.CAPTURE_IMAGE,
-        "keep the next frame for download (service 13)",
+        "keep the next frame that the sensor delivers, for download (service 13)",
         verification="start; completion when the image is there",
     ),
     FunctionDefinition(
@@ -62,12 +63,12 @@ FUNCTION_TABLE: tuple[FunctionDefinition, ...] = (
             Field("first_part", UINT16, meaning="number of the first part to send; 0: from the start"),
             Field("parts", UINT16, meaning="number of parts to send; 0: all that follow"),
         ),
-        verification="start; progress while parts leave; completion after the last one",
+        verification="start; progress 1 to 9 with each tenth of the parts; completion after the last one",
     ),
     FunctionDefinition(FunctionId.ABORT_DOWNLOAD, "stop a running download"),
     FunctionDefinition(
         FunctionId.SHUTDOWN,
-        "store the parameters and go to OFF",
+        "abort what runs, take no more telecommands, let the queue run empty, go to OFF",
         verification="start; completion before the line goes quiet",
     ),
     FunctionDefinition(FunctionId.CLEAR_COUNTERS, "set the counters of the housekeeping structures to 0"),

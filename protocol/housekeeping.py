@@ -39,10 +39,12 @@ HOUSEKEEPING_TABLE: tuple[HousekeepingDefinition, ...] = (
             Field("self_test_result", UINT16, meaning="failed parts of the last self-test", choices=SelfTest),
             Field("last_frame_index", UINT32, meaning="index of the last frame that was started"),
             Field("last_reasons", UINT32, meaning="reasons of the last attitude report", choices=Reason),
-            Field("frames_processed", UINT32, meaning="frames processed since start or CLEAR_COUNTERS"),
+            Field(
+                "frames_processed", UINT32, meaning="frames processed; the counters here run as those of LINK"
+            ),
             Field("frames_valid", UINT32, meaning="of those, frames with a valid attitude"),
             Field("frames_tracking", UINT32, meaning="of those, frames with a valid attitude from tracking"),
-            Field("frames_late", UINT32, meaning="frames that overran their budget"),
+            Field("frames_late", UINT32, meaning="of those, frames that overran their budget"),
             Field("frames_dropped", UINT32, meaning="frames that were not processed"),
             Field("temperature_cdeg", INT16, "0.01 degC", meaning="detector temperature"),
             Field(
@@ -52,14 +54,15 @@ HOUSEKEEPING_TABLE: tuple[HousekeepingDefinition, ...] = (
     ),
     HousekeepingDefinition(
         HousekeepingId.LINK,
-        "counters of the command link since start or CLEAR_COUNTERS; they stop at their highest value",
+        "counters of the command link since power-on, cold reset or CLEAR_COUNTERS; they stop at their "
+        "highest value; tc_received is the sum of tc_accepted and tc_rejected",
         (
             Field("tc_received", UINT32, meaning="frames received, good or bad"),
             Field("tc_accepted", UINT32, meaning="telecommands accepted"),
             Field("tc_rejected", UINT32, meaning="telecommands rejected, for whatever reason"),
             Field("crc_errors", UINT16, meaning="packets with wrong packet error control"),
             Field("framing_errors", UINT16, meaning="frames with a bad escape sequence"),
-            Field("length_errors", UINT16, meaning="packets whose length does not match their length field"),
+            Field("length_errors", UINT16, meaning="packets of a wrong length or with a wrong header"),
             Field("oversized_frames", UINT16, meaning="frames longer than the receive buffer"),
             Field("unknown_apid", UINT16, meaning="packets for another application process"),
             Field("unknown_service", UINT16, meaning="telecommands of an unknown service or subservice"),

@@ -10,6 +10,7 @@ last bit has left the unit.
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -117,7 +118,8 @@ class Emulator:
         self._journal: JournalWriter | None = None
         if journal is not None:
             self._journal = JournalWriter(journal, self._header(frames, pace_reception))
-        self._schedule_telecommands()
+        in_order = sorted(telecommands_of(self.scenario, profile.apid), key=lambda item: item[0])
+        self._telecommands = deque(in_order)
         self.unit.power_on()
 
     # -- driving it
@@ -129,10 +131,19 @@ class Emulator:
 
     def next_event_ns(self) -> int | None:
         """Virtual time of the next event."""
-        return self.clock.next_ns()
+        due_ns = self.clock.next_ns()
+        if not self._telecommands:
+            return due_ns
+        return self._telecommands[0][0] if due_ns is None else min(due_ns, self._telecommands[0][0])
 
     def advance(self, until_ns: int) -> None:
         """Let virtual time go on to ``until_ns``."""
+        # The scenario's telecommands come in as an OBC's do, behind whatever else is due at their time: so a
+        # replay of the journal, which holds them like any others, is the same run.
+        while self._telecommands and self._telecommands[0][0] <= until_ns:
+            at_ns, data = self._telecommands.popleft()
+            self.clock.advance(at_ns)
+            self.receive(data)
         self.clock.advance(until_ns)
 
     def receive(self, data: bytes) -> None:
@@ -183,15 +194,6 @@ class Emulator:
         contents, _ = self._store.load()
         contents.parameters.update(parameters_of(self.scenario))
         self._store.save(StoreContents(contents.parameters, contents.boot_count))
-
-    def _schedule_telecommands(self) -> None:
-        for t_ns, data in telecommands_of(self.scenario, self.profile.apid):
-            self.clock.at(t_ns, lambda data=data: self._inject(data))  # type: ignore[misc]
-
-    def _inject(self, data: bytes) -> None:
-        # Behind whatever else is due at this time, as bytes from outside are; so a replay of the journal
-        # is the same run.
-        self.clock.at(self.clock.now_ns, lambda: self.receive(data))
 
     def _header(self, frames: RecordedFrames | None, pace_reception: bool) -> dict[str, Any]:
         contents, fault = self._store.load()

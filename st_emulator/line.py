@@ -1,13 +1,13 @@
 """The serial line in virtual time: ten bits a byte at the line's baud rate, both ways.
 
-A pseudo-terminal carries bytes at once whatever its baud rate, so the emulator gives them the time that
-they take on a
-wire. Bytes to send go out in groups of what a UART's FIFO (or a millisecond of the line) holds.
+A pseudo-terminal carries bytes at once whatever its baud rate, so the emulator gives them the time that they
+take on a wire. Bytes to send go out in groups of what a UART's FIFO (or a millisecond of the line) holds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from .clock import NS_PER_S, VirtualClock
 
@@ -23,8 +23,7 @@ class SerialLine:
         baud: line rate, bits per second.
         transmit: called with each group of bytes when its last bit has left.
         receive: called with received bytes when their last bit has arrived; the group ends at each
-        ``delimiter``, so that
-            a packet is handled when its own last byte is in, whatever follows it.
+            ``delimiter``, so that a packet is handled when its own last byte is in, whatever follows it.
         pace_reception: False for a real port, whose bytes have already taken their time.
         delimiter: the byte that ends a frame (SLIP's END).
     """
@@ -51,7 +50,8 @@ class SerialLine:
         self._in_flight = 0
         self._tx_started_ns = 0
         self._tx_sent_since = 0
-        self._rx_free_ns = 0
+        self._rx_started_ns = 0
+        self._rx_since = 0
 
     def duration_ns(self, count: int) -> int:
         """Time that ``count`` bytes take on the line."""
@@ -99,12 +99,14 @@ class SerialLine:
         if not self._pace_reception:
             self._receive(data)
             return
-        start_ns = max(self._clock.now_ns, self._rx_free_ns)
-        self._rx_free_ns = start_ns + self.duration_ns(len(data))
+        if self._clock.now_ns >= self._rx_started_ns + self.duration_ns(self._rx_since):
+            self._rx_started_ns, self._rx_since = self._clock.now_ns, 0
         offset = 0
         while offset < len(data):
             end = data.find(self._delimiter, offset)
             end = len(data) if end < 0 else end + 1
             piece = data[offset:end]
-            self._clock.at(start_ns + self.duration_ns(end), lambda piece=piece: self._receive(piece))  # type: ignore[misc]
+            due_ns = self._rx_started_ns + self.duration_ns(self._rx_since + end)
+            self._clock.at(due_ns, partial(self._receive, piece))
             offset = end
+        self._rx_since += len(data)

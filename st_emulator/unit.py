@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -205,12 +206,14 @@ class StarTracker:
         self._give_up_self_test()
         self._give_up_time(FailureCode.ABORTED)
         self.services.reset()
-        self._when_line_idle(last)
+        self.later(0, partial(self._when_line_idle, last))  # behind what is sent at this instant
 
     def _when_line_idle(self, action: Callable[[], None]) -> None:
-        """Act when what is queued at the end of this instant has left."""
         waiting_ns = self.line.duration_ns(self.line.queued_bytes)
-        self.later(waiting_ns, action if not waiting_ns else lambda: self._when_line_idle(action))
+        if waiting_ns:
+            self.later(waiting_ns, partial(self._when_line_idle, action))
+        else:
+            action()
 
     def clear_counters(self) -> None:
         """Set every counter of the housekeeping structures to 0."""
@@ -286,8 +289,7 @@ class StarTracker:
         self.imaging.capture()
         step_ns = self.profile.timing.self_test_ms * NS_PER_MS // SELF_TEST_STEPS
         for step in range(1, SELF_TEST_STEPS + 1):
-            self.later(step * step_ns, lambda step=step: self._self_test_step(request, step))  # type:
-            ignore[misc]
+            self.later(step * step_ns, partial(self._self_test_step, request, step))
 
     def _give_up_self_test(self) -> None:
         if self._self_test is not None:
@@ -333,7 +335,7 @@ class StarTracker:
         latency_ns = self.profile.timing.telecommand_latency_us * NS_PER_US
         for raw in self.receiver.receive(data, self.clock.now_ns):
             received_ns = self.clock.now_ns
-            self.later(latency_ns, lambda raw=raw, at=received_ns: self._handle(raw, at))  # type: ignore[misc]
+            self.later(latency_ns, partial(self._handle, raw, received_ns))
 
     def _handle(self, raw: bytes, received_ns: int) -> None:
         if self.mode in SILENT or self._going_down:
@@ -463,6 +465,9 @@ class StarTracker:
     def _attitude_fields(self, record: FrameRecord, reasons: Reason) -> dict[str, Any]:
         """The report of a processed frame, or of a dropped one (``record.result`` is None)."""
         result, cycles = record.result, record.cycles
+        latency_us = 0
+        if result is not None:
+            latency_us = saturated(microseconds(self.clock.now_ns - record.mid_exposure_ns), 32)
         x, y, z, w = self._last_attitude.quaternion
         fields: dict[str, Any] = {
             "frame_index": record.index,
@@ -477,9 +482,7 @@ class StarTracker:
             "q_w": w,
             "exposure_us": microseconds(record.exposure_ns),
             "cycles": 0 if cycles is None else saturated(cycles.total, 32),
-            "latency_us": 0
-            if result is None
-            else saturated(microseconds(self.clock.now_ns - record.mid_exposure_ns), 32),
+            "latency_us": latency_us,
             "late": int(record.late_ns > 0),
             "frames_dropped_before": min(65535, record.dropped_before),
         }

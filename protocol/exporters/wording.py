@@ -105,9 +105,10 @@ RECEPTION = (
 )
 
 AFTER_RECEPTION = (
-    "After these come the checks of the values (identifiers, ranges, mode), which TM[1,2] tells too. A gap",
-    "in the sequence count of a source is told by event TC_SEQUENCE_GAP_DETECTED; the telecommand is",
-    "executed all the same.",
+    "After these come the mode, identifiers and ranges, and at last what the state of the unit decides",
+    "(addresses, checksums, a running request), which TM[1,2] tells too. A gap in the sequence count of a",
+    "source, seen in telecommands that pass reasons 1 to 11, is told by event TC_SEQUENCE_GAP_DETECTED; the",
+    "telecommand is executed all the same. A count of 0 is the restart of a source, not a gap.",
     "",
 )
 

@@ -25,7 +25,7 @@ SERVICE = ServiceDefinition(
             "",
             "Attitude at mid-exposure of one frame, with what it rests on and what it cost.",
             (
-                Field("frame_index", UINT32, meaning="index of the frame, from 0 at the start"),
+                Field("frame_index", UINT32, meaning="index of the frame, from 0 at power-on"),
                 Field(
                     "mid_exposure_time",
                     CUC,
@@ -67,9 +67,16 @@ SERVICE = ServiceDefinition(
                 Field("noise_dn", FLOAT32, "DN", meaning="standard deviation of the background"),
                 Field("exposure_us", UINT32, "us", meaning="exposure time"),
                 Field("cycles", UINT32, "cycle", meaning="processor cycles used by the frame"),
-                Field("latency_us", UINT32, "us", meaning="from mid-exposure to the end of processing"),
+                Field(
+                    "latency_us",
+                    UINT32,
+                    "us",
+                    meaning="from mid-exposure to the end of processing; 0: not processed",
+                ),
                 Field("late", UINT8, "", 0, 1, "1: the frame overran its budget"),
-                Field("frames_dropped_before", UINT16, meaning="frames dropped since the previous report"),
+                Field(
+                    "frames_dropped_before", UINT16, meaning="frames dropped in a row just before this one"
+                ),
             ),
             tailoring="Mission-specific service.",
         ),

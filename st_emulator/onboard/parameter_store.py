@@ -1,12 +1,12 @@
 """The non-volatile memory: one small JSON file with a checksum, replaced whole.
 
 A write goes to a new file that is flushed to the disk and then renamed over the old one, so a kill at any
-instant leaves
-either the old or the new contents, never a mixture.
+instant leaves either the old or the new contents, never a mixture.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import zlib
@@ -47,7 +47,7 @@ class FileStore:
     """A store in a file.
 
     Raises:
-        ConfigurationError: the folder cannot be made or written.
+        ConfigurationError: the folder cannot be made, or the file not be written.
     """
 
     def __init__(self, path: str | Path, unit_name: str) -> None:
@@ -82,11 +82,16 @@ class FileStore:
             {"format": FORMAT, "crc32": _checksum(body), "contents": body}, sort_keys=True, indent=1
         )
         temporary = self.path.with_suffix(f".{os.getpid()}.tmp")
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, self.path)
+        try:
+            with temporary.open("w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, self.path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise ConfigurationError(f"{self.path}: cannot be written: {error.strerror}") from error
 
 
 def _checksum(body: dict[str, Any]) -> int:
