@@ -24,7 +24,7 @@ def made_field(unit_vectors: ArrayLike, hp_mag: ArrayLike) -> StarField:
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_field() -> Callable[..., StarField]:
     return made_field
 

@@ -1,4 +1,4 @@
-"""Noise: the generator against its published numbers, distributions against scipy, pixels against each other."""
+"""Noise: the generator against published numbers, distributions against scipy, pixels against each other."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def test_vega_is_where_it_is(hipparcos: StarField) -> None:
 
 @pytest.mark.filterwarnings('ignore:ERFA function "pmsafe" yielded')  # distances at infinity
 def test_proper_motion_against_sofa() -> None:
-    """The 300 fastest stars and every 500th: within 2 mas of starpm, space motion with zero radial velocity."""
+    """The 300 fastest stars and every 500th: within 2 mas of SOFA's space motion, no radial velocity."""
     table = stars.load_hipparcos()
     speed = np.hypot(table.pm_ra_mas_yr, table.pm_dec_mas_yr)
     chosen = np.union1d(np.argsort(speed)[-300:], np.arange(0, len(table), 500))

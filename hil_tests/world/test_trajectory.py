@@ -1,4 +1,4 @@
-"""Trajectories: rates against finite differences, the Earth's rotation and orbits against the SOFA routines and Kepler."""
+"""Trajectories: rates against finite differences, the Earth's rotation against SOFA, orbits by Kepler."""
 
 from __future__ import annotations
 
@@ -114,8 +114,8 @@ def test_without_a_place_there_is_none(name: str) -> None:
 def test_constant_rate_starts_where_and_when_it_is_told() -> None:
     trajectory = constant_rate(ra_deg=200.0, dec_deg=5.0, roll_deg=-7.0, rate_deg_s=(0, 0, 2.0), start_ns=NS)
     assert pointing_from_quaternion(trajectory.q_icrs_to_sensor(NS)) == pytest.approx((200.0, 5.0, -7.0))
-    # about +Z, the camera turned from +X (right) to +Y (down): clockwise in the picture, so up goes from north to
-    # west and the position angle falls
+    # about +Z the camera turns from +X (right) to +Y (down), clockwise in the picture: up goes from north
+    # to west, the position angle falls
     assert pointing_from_quaternion(trajectory.q_icrs_to_sensor(4 * NS)) == pytest.approx((200.0, 5.0, -13.0))
 
 

@@ -112,8 +112,10 @@ class RecordedFrames(Sequence[RecordedFrame]):
 
     def _read_file(self, path: Path) -> RecordedFrame:
         try:
-            is_fits = path.suffix.lower() in FITS_SUFFIXES
-            pixels, bits = _read_fits(path) if is_fits else self._read_image(path)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # what matters becomes an error of ours
+                is_fits = path.suffix.lower() in FITS_SUFFIXES
+                pixels, bits = _read_fits(path) if is_fits else self._read_image(path)
         except RecordedFrameError:
             raise
         except _DECODER_ERRORS as error:
@@ -210,16 +212,14 @@ def _whole_numbers(path: Path, values: NDArray[np.generic]) -> U16:
 def _read_fits(path: Path) -> tuple[U16, int]:
     from astropy.io import fits  # here, as it takes a second to import
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with fits.open(path, memmap=False) as units:
-            for unit in units:
-                if unit.is_image and unit.data is not None:
-                    data = np.squeeze(unit.data)
-                    if data.ndim != 2:
-                        raise RecordedFrameError(f"{path}: an image of {data.ndim} dimensions; expected 2")
-                    bits = 8 if data.dtype == np.uint8 else 16
-                    pixels = _whole_numbers(path, data)
-                    bottom_up = str(unit.header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
-                    return np.ascontiguousarray(pixels[::-1] if bottom_up else pixels), bits
+    with fits.open(path, memmap=False) as units:
+        for unit in units:
+            if unit.is_image and unit.data is not None:
+                data = np.squeeze(unit.data)
+                if data.ndim != 2:
+                    raise RecordedFrameError(f"{path}: an image of {data.ndim} dimensions; expected 2")
+                bits = 8 if data.dtype == np.uint8 else 16
+                pixels = _whole_numbers(path, data)
+                bottom_up = str(unit.header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
+                return np.ascontiguousarray(pixels[::-1] if bottom_up else pixels), bits
     raise RecordedFrameError(f"{path}: no image in this FITS file; expected one")

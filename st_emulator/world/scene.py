@@ -244,12 +244,13 @@ class SceneRenderer:
         q = self.trajectory.q_icrs_to_sensor(middle_ns)
         ra, dec, roll = quaternion.pointing_from_quaternion(q)
         x, y = light.xs.mean(axis=1), light.ys.mean(axis=1)
-        magnitude = np.where(light.number >= 0, self._index.hp_mag[light.number], np.inf)
         inside = (np.abs(x + 0.5 - frame.width_px / 2) <= frame.width_px / 2) & (
             np.abs(y + 0.5 - frame.height_px / 2) <= frame.height_px / 2
         )
-        listed = np.flatnonzero(inside & (magnitude < limit_mag) & (light.number >= 0))
-        listed = listed[np.lexsort((light.number[listed], magnitude[listed]))]
+        stars = np.flatnonzero(inside & (light.number >= 0))
+        magnitudes = self._index.hp_mag[light.number[stars]]
+        order = np.lexsort((light.number[stars], magnitudes))
+        listed = stars[order][magnitudes[order] < limit_mag]
         return TruthRecord(
             frame_index=frame.frame_index,
             exposure_start_ns=frame.exposure_start_ns,
@@ -273,7 +274,7 @@ class SceneRenderer:
                     hip=int(self._index.hip[light.number[k]]),
                     x_px=float(x[k]),
                     y_px=float(y[k]),
-                    hp_mag=float(magnitude[k]),
+                    hp_mag=float(self._index.hp_mag[light.number[k]]),
                     electrons=float(light.electrons[k]),
                 )
                 for k in listed
