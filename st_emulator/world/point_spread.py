@@ -181,8 +181,8 @@ def render(
         highest = max(highest, rects[i, 3] - rects[i, 1])
     room = np.empty(max(_STRIP_PIXELS, widest), np.float32)
     share_x, share_y = np.empty(widest), np.empty(highest)
-    words = np.empty(widest, np.uint64)
-    deviates = np.empty(widest, np.float32)
+    words = np.empty(room.shape[0], np.uint64)
+    deviates = np.empty(room.shape[0], np.float32)
     image_width = scene.response.shape[1]
     for i in range(rects.shape[0]):
         x0, y0, x1, y1 = rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3]
@@ -199,7 +199,8 @@ def render(
             add_stars(x0, top, scene, near, share_x, share_y, signal)
             add_background(x0, top, scene, signal)
             for r in range(h):
-                words_of(key, (top + r) * image_width + x0, words[:w])
-                normals_of(words[:w], normal_table, deviates[:w])
-                digitise(signal[r], words[:w], deviates[:w], normal_table, detector, out[at : at + w])
-                at += w
+                words_of(key, (top + r) * image_width + x0, words[r * w : r * w + w])
+            n = h * w
+            normals_of(words[:n], normal_table, deviates[:n])
+            digitise(room[:n], words[:n], deviates[:n], normal_table, detector, out[at : at + n])
+            at += n
