@@ -318,7 +318,7 @@ def main() -> None:
     from .world.recorded import RecordedFrameError
 
     try:
-        app()
+        app(prog_name="st-emulator")
     except (ConfigurationError, LinkError, RecordedFrameError) as error:
         _refuse(str(error))
     except BrokenPipeError:
