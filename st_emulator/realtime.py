@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import os
 import select
 import signal
 import socket
@@ -26,13 +27,14 @@ from .links import Link
 POLL_S = 0.02  # for links that cannot be waited for
 LONGEST_WAIT_S = 0.5
 SWITCH_INTERVAL_S = 0.0005  # the worker gives way to the loop this soon
+LOOP_PRIORITY = 2  # the least of the real-time priorities that leaves one for the worker
 
 
 class FrameWorker:
     """Computes frames in order in a thread beside the loop."""
 
     def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="frame")
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="frame", initializer=behind_the_loop)
 
     def submit(self, compute: Callable[[], Any]) -> Future[Any]:
         return self._executor.submit(compute)
@@ -104,6 +106,33 @@ def quick_switching() -> Iterator[None]:
         sys.setswitchinterval(before)
 
 
+@contextlib.contextmanager
+def ahead_of_others() -> Iterator[bool]:
+    """The calling thread goes before other work on the computer where the system lets it (root, or a limit on
+    real-time priority), for a woken loop waits for milliseconds on a busy machine. Yields whether it does.
+    Threads that it starts meanwhile do so too.
+    """
+    try:
+        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LOOP_PRIORITY))
+    except (AttributeError, OSError):  # no such thing here, or not for us
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
+
+
+def behind_the_loop() -> None:
+    """The calling thread goes behind the loop that started it, yet before other work where the loop does: who
+    waits for a processor with the interpreter's lock in hand lets the loop wait too.
+    """
+    with contextlib.suppress(AttributeError, OSError):
+        if os.sched_getscheduler(0) == os.SCHED_FIFO:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LOOP_PRIORITY - 1))
+
+
 def run_paced(
     emulator: Emulator,
     link: Link,
@@ -124,7 +153,9 @@ def run_paced(
     def virtual_now_ns() -> int:
         return int((time.monotonic_ns() - origin_ns) * speed)
 
-    with quick_switching():
+    # Only where somebody listens in real time: the loop then sleeps nearly always.
+    priority = ahead_of_others() if speed == 1 and descriptor is not None else contextlib.nullcontext()
+    with quick_switching(), priority:
         while not stop.stopped:
             now_ns = virtual_now_ns()
             if until_ns is not None and now_ns >= until_ns:
