@@ -222,8 +222,10 @@ def test_windows_hold_omega_in_every_direction_and_not_half_as_much_again(
     assert (np.abs(off_deg_s) < [0.05, 0.05, 0.2]).all()  # roll is known worse, by the field's radius
     reasons = Reason.NONE
     for _ in range(16):  # longer than an old attitude says anything about the rate
+        searched = b.mode is Mode.LOST_IN_SPACE
         result = b.frame(1.5 * OMEGA_DEG_S * axis)
         reasons |= result.reasons
+        assert not (searched and result.valid)
     assert reasons & Reason.RATE_TOO_HIGH
     assert ModeEvent.TRACKING_LOST in [result.event for result in b.results]
     assert b.mode is Mode.LOST_IN_SPACE
@@ -231,6 +233,21 @@ def test_windows_hold_omega_in_every_direction_and_not_half_as_much_again(
     back = [b.frame().valid for _ in range(8)]
     assert any(back[:4])
     assert b.mode is Mode.TRACKING
+
+
+def test_spots_cut_by_their_windows_mean_too_high_a_rate(bench: Callable[..., Bench]) -> None:
+    """A jump that puts every star on its window's edge: a few in merged windows may still give the attitude."""
+    by_the_windows_alone = 0
+    for seed in range(51, 63):
+        b = bench(seed, stars=12)
+        b.acquire()
+        turn = np.zeros(3)
+        turn[seed % 2] = b.frame().window_half_width_px * PIXEL
+        b.q = turned(b.q, turn)
+        result = b.frame()
+        assert result.reasons & Reason.RATE_TOO_HIGH
+        by_the_windows_alone += result.rate_rad_s is None
+    assert by_the_windows_alone >= 4
 
 
 def test_one_dropped_frame_is_survived_at_the_largest_rate(bench: Callable[..., Bench]) -> None:
