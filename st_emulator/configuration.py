@@ -120,7 +120,12 @@ def trajectory_of(scenario: Scenario, start_tai_ns: int) -> Trajectory:
             )
         case EarthFixedTrajectory():
             return trajectory.earth_fixed(
-                ra_deg=item.ra_deg, dec_deg=item.dec_deg, roll_deg=item.roll_deg, start_tai_ns=start_tai_ns
+                ra_deg=item.ra_deg,
+                dec_deg=item.dec_deg,
+                roll_deg=item.roll_deg,
+                start_tai_ns=start_tai_ns,
+                latitude_deg=item.latitude_deg,
+                longitude_deg=item.longitude_deg,
             )
         case SlewTrajectory():
             segments: list[slew.Segment] = []
@@ -143,6 +148,7 @@ def trajectory_of(scenario: Scenario, start_tai_ns: int) -> Trajectory:
                 raan_deg=item.raan_deg,
                 argument_deg=item.argument_deg,
                 boresight=item.boresight,
+                roll_deg=item.roll_deg,
             )
 
 

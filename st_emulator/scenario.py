@@ -53,9 +53,20 @@ class ConstantRateTrajectory(Pointing):
 
 
 class EarthFixedTrajectory(Pointing):
-    """At rest on the turning Earth; the pointing is that of power-on."""
+    """At rest on the turning Earth; the pointing is that of power-on.
+
+    With a site (geodetic, WGS 84, east positive) the observer also has a place and a velocity.
+    """
 
     kind: Literal["earth_fixed"]
+    latitude_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    longitude_deg: Annotated[float, Field(ge=-180, le=360)] | None = None
+
+    @model_validator(mode="after")
+    def _whole_site(self) -> EarthFixedTrajectory:
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            raise ValueError("a site needs both latitude_deg and longitude_deg")
+        return self
 
 
 class HoldSegment(Section):
@@ -106,6 +117,7 @@ class OrbitTrajectory(Section):
             description="boresight in the orbital frame: x along velocity, y against the normal, z to nadir"
         ),
     ] = (0.0, 0.0, -1.0)
+    roll_deg: Annotated[float, Field(ge=-360, le=360, description="turn about the boresight")] = 0.0
 
 
 Trajectory = Annotated[
