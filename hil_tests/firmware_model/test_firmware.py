@@ -236,7 +236,7 @@ def test_windows_hold_omega_in_every_direction_and_not_half_as_much_again(
 
 
 def test_spots_cut_by_their_windows_mean_too_high_a_rate(bench: Callable[..., Bench]) -> None:
-    """A jump that puts every star on its window's edge: a few in merged windows may still give the attitude."""
+    """A jump that puts every star on its window's edge; those in merged windows may still give a rate."""
     by_the_windows_alone = 0
     for seed in range(51, 63):
         b = bench(seed, stars=12)
