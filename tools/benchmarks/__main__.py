@@ -107,7 +107,8 @@ class Bench:
 
     def _rounds(self, unit: str, search: str, *, stages: bool) -> list[dict[str, Any]]:
         count = 3 if self._quick or stages else 9
-        frames = 100 if search == "lost_in_space" else 400
+        # A turning unit soon looks at another sky, perhaps one with too few stars.
+        frames = {"lost_in_space": 100, "tracking": 400, "tracking_turning": 60}[search]
         if self._quick or stages:
             frames //= 2
         task, advance = self._task(f"{unit}: {search}{', stages' if stages else ''}", count)
