@@ -48,6 +48,7 @@ from .world.trajectory import Trajectory
 ARCSEC = np.pi / 180 / 3600
 # ASSUMED: a baffle ends steeply; at this share of the exclusion angle the image is full of stray light.
 STEEP = 0.8
+EDGE_PX = 6.0
 TABLES_LAYOUT = 1  # raise when the contents of the cached tables change
 
 
@@ -281,7 +282,8 @@ def firmware_configuration(
         identification=IdentificationParameters(
             tolerance_rad=float(parameters["identification_tolerance_arcsec"]) * ARCSEC,
             max_spots=int(parameters["identification_max_spots"]),
-            field_normals=geometry.field_normals(),
+            # Stars within a few pixels of the edge cannot be measured, so they are not expected.
+            field_normals=geometry.field_normals(-EDGE_PX),
         ),
         tracking=TrackingParameters(
             rate_rad_s=float(np.radians(parameters["tracking_rate_deg_s"])),
