@@ -181,7 +181,7 @@ EVENT_TABLE: tuple[EventDefinition, ...] = (
     EventDefinition(
         EventId.TX_QUEUE_OVERFLOWED,
         _LOW,
-        "the transmit queue was full and packets were thrown away; sent when there is room again",
+        "the transmit queue was full and packets were thrown away; sent when half of the queue is free again",
         (Field("packets", UINT16, meaning="packets thrown away"),),
     ),
 )

@@ -348,7 +348,7 @@ class StarTracker:
         if self.mode in SILENT:
             return False
         sent = self.transmitter.send(name, fields, destination_id)
-        if sent and (lost := self.transmitter.take_lost()):
+        if sent and self.transmitter.has_room and (lost := self.transmitter.take_lost()):
             self.raise_event(EventId.TX_QUEUE_OVERFLOWED, packets=saturated(lost, 16))
         return sent
 

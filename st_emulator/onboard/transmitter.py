@@ -49,6 +49,11 @@ class Transmitter:
     def clear_counters(self) -> None:
         self.packets = self.bytes = 0
 
+    @property
+    def has_room(self) -> bool:
+        """Whether half of the queue is free: time to tell what was lost, without losing that as well."""
+        return self.line.queued_bytes <= QUEUE_LIMIT_BYTES // 2
+
     def take_lost(self) -> int:
         """How many packets were lost since the last call."""
         lost, self.lost_packets = self.lost_packets, 0

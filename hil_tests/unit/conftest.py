@@ -1,0 +1,243 @@
+"""A unit in virtual time on one side of a wire, a reference decoder made with struct alone on the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil_tests.vectors import reference_decoder as wire
+from st_emulator.emulator import Emulator
+from st_emulator.profile import UnitProfile, load_unit
+from st_emulator.scenario import Scenario
+
+MS = 1_000_000
+SOURCE = 0x2A
+FUNCTION = {
+    "GO_STANDBY": 1, "START_ACQUISITION": 2, "START_SELF_TEST": 3, "RESET": 4, "CAPTURE_IMAGE": 5,
+    "DOWNLOAD_IMAGE": 6, "ABORT_DOWNLOAD": 7, "SHUTDOWN": 8, "CLEAR_COUNTERS": 9,
+    "RESTORE_DEFAULT_PARAMETERS": 10, "TRACK_FROM": 11,
+}  # fmt: skip
+EVENT = {
+    "BOOT_COMPLETED": 1, "MODE_CHANGED": 2, "SELF_TEST_COMPLETED": 3, "FRAME_OVERRAN": 4, "FRAME_DROPPED": 5,
+    "TRACKING_LOST": 6, "ATTITUDE_ACQUIRED": 7, "TC_CRC_FAILED": 8, "TC_MALFORMED": 9,
+    "TC_SEQUENCE_GAP_DETECTED": 10, "SENSOR_BLINDED": 11, "TIME_SET": 12, "FAULT_ENTERED": 13,
+    "PARAMETER_STORE_INVALID": 14, "IMAGE_CAPTURED": 15, "IMAGE_DOWNLOAD_ABORTED": 16,
+    "PARAMETERS_STORED": 17, "SHUTDOWN_STARTED": 18, "TX_QUEUE_OVERFLOWED": 19,
+}  # fmt: skip
+MODE = {"BOOT": 0, "SELF_TEST": 1, "STANDBY": 2, "LOST_IN_SPACE": 3, "TRACKING": 4, "FAULT": 5, "OFF": 6}
+PARAMETER = {
+    name: number
+    for number, name in enumerate(
+        (
+            "exposure_us", "detection_sigma", "detection_min_pixels", "centroid_half_window_px",
+            "magnitude_limit", "identification_tolerance_arcsec", "identification_max_spots",
+            "tracking_rate_deg_s", "tracking_tolerance_arcsec", "tracking_min_stars", "tracking_max_missed",
+            "blinded_background_dn", "aberration_correction", "velocity_x_km_s", "velocity_y_km_s",
+            "velocity_z_km_s", "attitude_report", "autonomous_start", "pipelined", "clock_hz", "boot_count",
+        ),
+        start=1,
+    )
+}  # fmt: skip
+VERIFICATION = {
+    "acceptance_success", "acceptance_failure", "start_success", "start_failure", "progress",
+    "progress_failure", "completion_success", "completion_failure", "routing_failure",
+}  # fmt: skip
+
+
+@dataclass
+class Packet:
+    """A telemetry packet; ``t_ns``: when its group of bytes had left the unit."""
+
+    t_ns: int
+    decoded: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        return self.decoded["name"]
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        return self.decoded["fields"]
+
+
+@dataclass
+class Bench:
+    """The unit and what it has sent. Telecommands go out with counts of their own, all reports asked for."""
+
+    emulator: Emulator
+    packets: list[Packet] = field(default_factory=list)
+    groups: list[tuple[int, bytes]] = field(default_factory=list)
+    count: int = -1
+    _line: bytes = b""
+
+    def transmitted(self, data: bytes, t_ns: int) -> None:
+        self.groups.append((t_ns, data))
+        self._line += data
+        whole = self._line.rfind(b"\xc0") + 1
+        for frame in wire.slip_frames(self._line[:whole]):
+            self.packets.append(Packet(t_ns, wire.decode_telemetry(frame)))
+        self._line = self._line[max(whole - 1, 0) :]
+
+    @property
+    def apid(self) -> int:
+        return self.emulator.profile.apid
+
+    @property
+    def now_ms(self) -> float:
+        return self.emulator.now_ns / MS
+
+    def run(self, ms: float) -> None:
+        self.emulator.advance(self.emulator.now_ns + round(ms * MS))
+
+    def run_to(self, ms: float) -> None:
+        self.emulator.advance(round(ms * MS))
+
+    def run_until(self, found: Callable[[], bool], limit_ms: float = 5000) -> None:
+        limit = self.now_ms + limit_ms
+        while not found():
+            assert self.now_ms < limit, "it did not come"
+            self.run(5)
+
+    def forget(self) -> None:
+        self.packets.clear()
+
+    def put(self, data: bytes) -> None:
+        self.emulator.receive(data)
+
+    def packet(
+        self, name: str, fields: dict[str, Any] | None = None, *, ack: int = 15, **header: Any
+    ) -> bytes:
+        """A telecommand of this bench's source with the next sequence count."""
+        self.count = header.pop("count", (self.count + 1) & 0x3FFF)
+        header.setdefault("apid", self.apid)
+        header.setdefault("source_id", SOURCE)
+        return wire.encode_telecommand(name, fields or {}, sequence_count=self.count, ack=ack, **header)
+
+    def send(self, name: str, fields: dict[str, Any] | None = None, **header: Any) -> int:
+        """Put a telecommand on the line; returns its sequence count."""
+        self.put(wire.slip_frame(self.packet(name, fields, **header)))
+        return self.count
+
+    def function(self, name: str, arguments: dict[str, Any] | None = None, **header: Any) -> int:
+        return self.send("function", {"function_id": FUNCTION[name], "arguments": arguments or {}}, **header)
+
+    def reports(self, count: int) -> list[Packet]:
+        """The verification reports of one telecommand."""
+        return [
+            packet
+            for packet in self.packets
+            if packet.name in VERIFICATION and packet.fields["request_id"]["sequence_count"] == count
+        ]
+
+    def stages(self, count: int) -> list[str]:
+        return [packet.name for packet in self.reports(count)]
+
+    def failure(self, count: int) -> tuple[str, int, int]:
+        """(report, failure code, failure data) of a telecommand that ended in one failure and nothing else."""
+        (report,) = [packet for packet in self.reports(count) if "failure_code" in packet.fields]
+        return report.name, report.fields["failure_code"], report.fields["failure_data"]
+
+    def of(self, name: str) -> list[dict[str, Any]]:
+        """The fields of all packets of a message."""
+        return [packet.fields for packet in self.packets if packet.name == name]
+
+    def events(self, name: str) -> list[dict[str, Any]]:
+        """The data of all events of a kind."""
+        return [
+            packet.fields["data"]
+            for packet in self.packets
+            if packet.decoded["service"] == 5 and packet.fields.get("event_id") == EVENT[name]
+        ]
+
+    def housekeeping(self, structure: int) -> dict[str, Any]:
+        """A structure, asked for now."""
+        number = len(self.of("hk_report"))
+        self.send("hk_one_shot", {"structure_ids": [structure]}, ack=0)
+        self.run_until(lambda: len(self.of("hk_report")) > number)
+        (values,) = [
+            fields["values"]
+            for fields in self.of("hk_report")[number:]
+            if fields["structure_id"] == structure
+        ]
+        return values
+
+    def set_parameters(self, **values: float) -> None:
+        settings = [{"parameter_id": PARAMETER[name], "value": value} for name, value in values.items()]
+        count = self.send("parameter_set", {"settings": settings})
+        self.run(20)
+        assert self.stages(count) == ["acceptance_success", "completion_success"]
+
+    def parameter(self, name: str) -> float:
+        number = len(self.of("parameter_values"))
+        self.send("parameter_report", {"parameter_ids": [PARAMETER[name]]}, ack=0)
+        self.run_until(lambda: len(self.of("parameter_values")) > number)
+        return self.of("parameter_values")[number]["values"][0]["value"]
+
+    def quiet(self) -> None:
+        """No periodic housekeeping from now on."""
+        self.send("hk_disable", {"structure_ids": [1]}, ack=0)
+        self.run(10)
+        self.forget()
+
+    def boot(self) -> Bench:
+        """Past the boot, housekeeping off, nothing on the line."""
+        self.run(self.emulator.profile.timing.boot_ms + 20)
+        self.quiet()
+        return self
+
+    def to_mode(self, mode: str) -> None:
+        """From STANDBY to a mode."""
+        if mode == "SELF_TEST":
+            self.function("START_SELF_TEST", ack=0)
+            self.run(20)
+        elif mode == "LOST_IN_SPACE":
+            self.function("START_ACQUISITION", ack=0)
+            self.run(10)
+        elif mode == "TRACKING":
+            self.function("START_ACQUISITION", ack=0)
+            self.run_until(lambda: self.emulator.unit.mode == MODE["TRACKING"])
+        elif mode == "FAULT":
+            from st_emulator.protocol.enumerations import FaultCause
+
+            self.emulator.unit.enter_fault(FaultCause.COMMANDED)
+        self.run(10)
+        assert self.emulator.unit.mode == MODE[mode]
+
+
+MakeBench = Callable[..., Bench]
+
+
+def make(profile: UnitProfile | str = "roja1", **arguments: Any) -> Bench:
+    """A bench with a fresh unit. ``parameters``: scenario parameters; ``timing``, ``wire``, ``detection``: figures
+    of the unit file.
+    """
+    unit = load_unit(profile) if isinstance(profile, str) else profile
+    for table in ("timing", "wire", "detection"):
+        figures = arguments.pop(table, {})
+        unit = unit.model_copy(update={table: getattr(unit, table).model_copy(update=figures)})
+    if parameters := arguments.pop("parameters", None):
+        arguments["scenario"] = Scenario(parameters=parameters)
+    bench = Bench.__new__(Bench)
+    Bench.__init__(bench, Emulator(unit, transmit=lambda d, t: bench.transmitted(d, t), **arguments))
+    return bench
+
+
+@pytest.fixture
+def new_bench() -> MakeBench:
+    """Makes benches."""
+    return make
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """A unit in STANDBY with a quiet line."""
+    return make().boot()
+
+
+@pytest.fixture
+def store_path(tmp_path: Path) -> Path:
+    return tmp_path / "unit.parameters.json"
