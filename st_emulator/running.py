@@ -23,7 +23,7 @@ from .profile import UnitProfile, load_unit
 from .realtime import FrameWorker, StopSignal, run_paced, run_unpaced
 from .scenario import Scenario, load_scenario
 from .scenario_inputs import check_inputs
-from .warm_up import warm_up
+from .warm_up import compile_apart, warm_up
 from .world.recorded import RecordedFrames
 
 
@@ -136,6 +136,7 @@ def run_unit(options: RunOptions) -> None:
         truth = open_output(stack, options.truth, "--truth")
         try:
             with stop.interrupting(), console.status("loading catalogue and compiled kernels"):
+                compile_apart(profile)
                 warm_up(profile)
         except KeyboardInterrupt:
             console.print("stopped before power-on")

@@ -23,6 +23,7 @@ LINK_POLL_S = 0.002
 
 SCENARIO = """schema = 1
 name = "bench"
+start_utc = "2026-01-15T00:00:00Z"
 
 [trajectory]
 kind = "inertial"
