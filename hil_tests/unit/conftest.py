@@ -72,6 +72,7 @@ class Bench:
     packets: list[Packet] = field(default_factory=list)
     groups: list[tuple[int, bytes]] = field(default_factory=list)
     count: int = -1
+    broken: list[bytes] | None = None  # a list takes frames that are no packets, which are errors else
     _line: bytes = b""
 
     def transmitted(self, data: bytes, t_ns: int) -> None:
@@ -79,7 +80,12 @@ class Bench:
         self._line += data
         whole = self._line.rfind(b"\xc0") + 1
         for frame in wire.slip_frames(self._line[:whole]):
-            self.packets.append(Packet(t_ns, wire.decode_telemetry(frame)))
+            try:
+                self.packets.append(Packet(t_ns, wire.decode_telemetry(frame)))
+            except ValueError:
+                if self.broken is None:
+                    raise
+                self.broken.append(frame)
         self._line = self._line[max(whole - 1, 0) :]
 
     @property
@@ -137,7 +143,7 @@ class Bench:
         return [packet.name for packet in self.reports(count)]
 
     def failure(self, count: int) -> tuple[str, int, int]:
-        """(report, failure code, failure data) of a telecommand that ended in one failure and nothing else."""
+        """(report, failure code, failure data) of a telecommand that ended in a single failure."""
         (report,) = [packet for packet in self.reports(count) if "failure_code" in packet.fields]
         return report.name, report.fields["failure_code"], report.fields["failure_data"]
 
@@ -212,8 +218,9 @@ MakeBench = Callable[..., Bench]
 
 
 def make(profile: UnitProfile | str = "roja1", **arguments: Any) -> Bench:
-    """A bench with a fresh unit. ``parameters``: scenario parameters; ``timing``, ``wire``, ``detection``: figures
-    of the unit file.
+    """A bench with a fresh unit.
+
+    ``parameters``: of the scenario; ``timing``, ``wire``, ``detection``: figures of the unit file.
     """
     unit = load_unit(profile) if isinstance(profile, str) else profile
     for table in ("timing", "wire", "detection"):

@@ -3,6 +3,7 @@
 import io
 import json
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -132,7 +133,7 @@ def test_bytes_keep_their_order_and_never_come_faster_than_the_line(
     clock.advance(10**10)
     for groups in (sent, received):
         assert b"".join(piece for _, piece in groups) == data
-        for (before_ns, _), (at_ns, piece) in zip(groups, groups[1:], strict=False):
+        for (before_ns, _), (at_ns, piece) in pairwise(groups):
             assert at_ns - before_ns >= len(piece) * 10**10 // 115200 - 1
 
 
@@ -192,5 +193,5 @@ def test_what_is_no_journal_is_named_with_its_line(tmp_path: Path, text: str, me
 
 
 def test_a_missing_journal_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="nothing.journal"):
+    with pytest.raises(ConfigurationError, match=r"nothing\.journal"):
         read_journal(tmp_path / "nothing.journal")

@@ -1,4 +1,4 @@
-"""Reports of each telecommand: stages as its flags ask, failures with code and data, nothing changed by them."""
+"""Reports of each telecommand: stages as its flags ask; failures with code and data, which change nothing."""
 
 from itertools import product
 from pathlib import Path
@@ -257,7 +257,7 @@ def test_exposure_longer_than_the_frame_is_refused(bench: Bench) -> None:
         assert bench.stages(count) == stages
 
 
-# -- modes ----------------------------------------------------------------------------------------------------
+# -- modes ------------------------------------------------------------------------------------------------
 
 
 def icd_modes() -> dict[str, set[str]]:
