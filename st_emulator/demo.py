@@ -4,10 +4,13 @@ to shutdown.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -109,11 +112,12 @@ def run_demo(
         *("--journal", str(out / "journal.jsonl"), "--truth", str(out / "truth.jsonl"), "--store", "none"),
     ]
     before = _identity(link)
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    try:
-        session = _operate(process, link, before, profile, seconds, out, console)
-    finally:
-        said = _end(process)
+    with _ended_by_sigterm():
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        try:
+            session = _operate(process, link, before, profile, seconds, out, console)
+        finally:
+            said = _end(process)
     if process.returncode != 0:
         session.problem = "; ".join(
             text
@@ -145,6 +149,16 @@ def _clear(out: Path) -> None:
         path.unlink(missing_ok=True)
     for name in ("journal.jsonl", "truth.jsonl", "demo.png"):
         (out / name).unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """In the block SIGTERM raises KeyboardInterrupt, as Ctrl-C does: no emulator is left behind."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _identity(link: Path) -> tuple[int, int] | None:

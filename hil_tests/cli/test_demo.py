@@ -8,6 +8,7 @@ import math
 import os
 import subprocess
 import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -238,6 +239,24 @@ sys.exit("out of film")
     assert "out of film" in figures["problem"]
     assert figures["frames"] == 0
     assert figures["checks"]
+
+
+def test_a_demo_that_is_stopped_leaves_no_emulator_behind(tmp_path):
+    command = [sys.executable, "-m", "st_emulator", "demo", "--seconds", "3600", "--out", str(tmp_path)]
+    link = tmp_path / "tracker"
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            deadline = time.monotonic() + 120
+            while not link.is_symlink():
+                assert process.poll() is None
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            process.terminate()
+            assert process.wait(120) != 0
+        finally:
+            process.kill()
+    assert not link.is_symlink()
+    assert not Path(f"{link}.lock").exists()  # the emulator has let it go
 
 
 def test_what_is_not_the_demos_stays(monkeypatch, tmp_path):
