@@ -41,6 +41,24 @@ def console_for(json_path: str | None) -> Console:
     return Console(stderr=json_path == "-")
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from . import __version__
+
+        print(f"st-emulator {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
+    ] = False,
+) -> None:
+    pass
+
+
 @app.command()
 def run(
     unit: Annotated[
@@ -111,8 +129,8 @@ def run(
         typer.Option(
             "--store",
             metavar="FILE",
-            help="The unit's non-volatile memory. Default: a file of the user's state folder; `none`, "
-            "and a scenario, start from factory parameters.",
+            help="The unit's non-volatile memory. Default: a file of the user's state folder for a run on a line "
+            "without a scenario; all other runs, and `none`, start from factory parameters.",
         ),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,

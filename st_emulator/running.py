@@ -80,9 +80,13 @@ def scenario_of(options: RunOptions, live: bool) -> Scenario:
     return Scenario(start_utc=datetime.now(UTC).replace(microsecond=0)) if live else Scenario()
 
 
-def open_store(options: RunOptions, profile: UnitProfile) -> tuple[Store, str]:
-    """The unit's non-volatile memory and what to tell the user about it."""
-    if options.store == "none" or (options.store is None and options.scenario is not None):
+def open_store(options: RunOptions, profile: UnitProfile, live: bool) -> tuple[Store, str]:
+    """The unit's non-volatile memory and what to tell the user about it.
+
+    Only a run on a line without a scenario keeps it by itself: the others are to give the same bytes each
+    time.
+    """
+    if options.store == "none" or (options.store is None and not (live and options.scenario is None)):
         return VolatileStore(), "factory parameters, forgotten at the end"
     path = (
         Path(options.store).expanduser()
@@ -130,7 +134,7 @@ def run_unit(options: RunOptions) -> None:
     with contextlib.ExitStack() as stack:
         stack.callback(stop.close)
         stack.enter_context(stop.installed())
-        store, store_text = open_store(options, profile)
+        store, store_text = open_store(options, profile, live)
         link = stack.enter_context(open_link(specification, "unit", profile.wire.baud, profile.name))
         journal = open_output(stack, options.journal, "--journal")
         truth = open_output(stack, options.truth, "--truth")
