@@ -118,8 +118,7 @@ class Emulator:
         self._journal: JournalWriter | None = None
         if journal is not None:
             self._journal = JournalWriter(journal, self._header(frames, pace_reception))
-        in_order = sorted(telecommands_of(self.scenario, profile.apid), key=lambda item: item[0])
-        self._telecommands = deque(in_order)
+        self._telecommands = deque(telecommands_of(self.scenario, profile.apid))
         self.unit.power_on()
 
     # -- driving it

@@ -21,6 +21,7 @@ from .validation import Section, parse_toml, read_text, validate
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+MOST_PIXELS = 33_000_000  # 2 bytes each, in at most 65535 parts of 1024 bytes (service 13)
 
 
 class UnitIdentity(Section):
@@ -60,6 +61,15 @@ class Detector(Section):
     hot_pixel_fraction: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     hot_pixel_electrons_s: NonNegative = 0.0
 
+    @model_validator(mode="after")
+    def _image_can_be_downloaded(self) -> Detector:
+        if self.columns * self.rows > MOST_PIXELS:
+            raise ValueError(
+                f"columns = {self.columns} times rows = {self.rows} must be {MOST_PIXELS} or less: an image "
+                "is downloaded in at most 65535 parts"
+            )
+        return self
+
 
 class Exclusion(Section):
     """Exclusion angles from the boresight and the stray light at that angle, electrons per second and
@@ -90,6 +100,11 @@ class Timing(Section):
         if self.readout_ms > self.frame_period_ms:
             raise ValueError(
                 f"readout_ms = {self.readout_ms:g} does not fit frame_period_ms = {self.frame_period_ms}"
+            )
+        if self.self_test_ms < 2 * self.frame_period_ms + self.readout_ms:
+            raise ValueError(
+                f"self_test_ms = {self.self_test_ms} does not hold two frame_period_ms = {self.frame_period_ms}"
+                f" and readout_ms = {self.readout_ms:g}: the self-test looks at a frame"
             )
         return self
 

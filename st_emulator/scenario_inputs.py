@@ -18,18 +18,25 @@ SCENARIO_SOURCE_ID = 0x5C  # the source of a scenario's own telecommands, apart 
 
 
 def telecommands_of(scenario: Scenario, apid: int) -> list[tuple[int, bytes]]:
-    """(virtual time in ns, bytes of the line) of each telecommand, in the order of the file.
+    """(virtual time in ns, bytes of the line) of each telecommand, in the order of time.
+
+    Their sequence counts are in that order as well; telecommands of one time stay in the order of the file.
 
     Raises:
         ConfigurationError: names the scenario, the telecommand, the field and what is allowed.
     """
-    return [
-        (round(item.at_s * NS_PER_S), _bytes_of(scenario, number, item, apid))
-        for number, item in enumerate(scenario.telecommands)
-    ]
+    in_order = sorted(enumerate(scenario.telecommands), key=lambda numbered: numbered[1].at_s)
+    inputs = []
+    count = 0
+    for number, item in in_order:
+        inputs.append((round(item.at_s * NS_PER_S), _bytes_of(scenario, number, item, apid, count)))
+        count += item.raw_hex is None
+    return inputs
 
 
-def _bytes_of(scenario: Scenario, number: int, telecommand: ScenarioTelecommand, apid: int) -> bytes:
+def _bytes_of(
+    scenario: Scenario, number: int, telecommand: ScenarioTelecommand, apid: int, count: int
+) -> bytes:
     if telecommand.raw_hex is not None:
         return bytes.fromhex(telecommand.raw_hex)
     assert telecommand.name is not None  # the scenario's own validation sees to it
@@ -39,7 +46,7 @@ def _bytes_of(scenario: Scenario, number: int, telecommand: ScenarioTelecommand,
             telecommand.name,
             fields,
             apid=apid,
-            sequence_count=number & 0x3FFF,
+            sequence_count=count & 0x3FFF,
             source_id=SCENARIO_SOURCE_ID,
         )
     except LocalProtocolError as error:

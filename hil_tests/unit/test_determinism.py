@@ -103,6 +103,15 @@ def test_scenario_telecommands_arrive_in_order_of_time(at_once: str) -> None:
     assert received[-1]["rx"] == "c0deadbeefc0"
 
 
+def test_scenario_telecommands_are_counted_in_order_of_time(at_once: str) -> None:
+    received = [bytes.fromhex(json.loads(line)["rx"]) for line in at_once.splitlines() if '"rx"' in line]
+    frames = [frame for data in received for frame in wire.slip_frames(data) if len(frame) > 10]
+    assert [wire.decode_packet(frame)["sequence_count"] for frame in frames] == [0, 1, 2]
+    line = b"".join(bytes.fromhex(json.loads(text)["tx"]) for text in at_once.splitlines() if '"tx"' in text)
+    told = [wire.decode_telemetry(frame) for frame in wire.slip_frames(line)]
+    assert [packet["fields"]["event_id"] for packet in told if packet["service"] == 5].count(10) == 0
+
+
 def replayed(text: str, tmp_path: Path) -> tuple[list[JournalEntry], list[JournalEntry], str]:
     """Transmitted groups of a journal and of its replay, and the replay's own journal."""
     path = tmp_path / "run.journal"

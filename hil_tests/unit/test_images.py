@@ -8,8 +8,11 @@ import pytest
 from hil_tests.vectors import reference_decoder as wire
 from st_emulator.configuration import scene_of
 from st_emulator.emulator import Emulator
+from st_emulator.errors import ConfigurationError
+from st_emulator.profile import UnitProfile, load_unit
 from st_emulator.protocol.enumerations import FaultCause
 from st_emulator.scenario import Scenario
+from st_emulator.validation import validate
 
 from .conftest import MS, Bench, MakeBench
 
@@ -274,3 +277,20 @@ def test_download_goes_on_in_fault(new_bench: MakeBench) -> None:
     count = bench.function("DOWNLOAD_IMAGE", ALL)
     bench.run(4000)
     assert bench.stages(count)[-1] == "completion_success"
+
+
+@pytest.mark.parametrize(
+    ("table", "figures", "message"),
+    [
+        ("detector", {"columns": 8192, "rows": 8192}, "at most 65535 parts"),
+        ("timing", {"self_test_ms": 500}, "looks at a frame"),
+    ],
+)
+def test_a_unit_file_whose_figures_cannot_work_is_refused(
+    table: str, figures: dict[str, int], message: str
+) -> None:
+    data = load_unit("roja1").model_dump(mode="json")
+    data[table] |= figures
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        validate(UnitProfile, data, "my_unit.toml")
+    assert str(caught.value).startswith(f"my_unit.toml: {table}")
