@@ -129,8 +129,8 @@ def run(
         typer.Option(
             "--store",
             metavar="FILE",
-            help="The unit's non-volatile memory. Default: a file of the user's state folder for a run on a line "
-            "without a scenario; all other runs, and `none`, start from factory parameters.",
+            help="The unit's non-volatile memory. Default: a file of the user's state folder for a run on a "
+            "line without a scenario; all other runs, and `none`, start from factory parameters.",
         ),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,

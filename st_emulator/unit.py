@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -21,6 +20,7 @@ from .firmware_model.firmware import FirmwareState
 from .firmware_model.modes import Mode, ModeEvent, next_mode
 from .firmware_model.reasons import Reason
 from .line import SerialLine
+from .onboard.attitude_report import IDENTITY, attitude_fields
 from .onboard.counters import FrameCounters, LinkCounters, saturated
 from .onboard.image_store import ImageStore
 from .onboard.imaging import FrameRecord, FrameSettings, FrameSource, Imaging, Lazy, Submit, microseconds
@@ -48,13 +48,6 @@ from .protocol.packets import Telecommand
 SILENT = (Mode.BOOT, Mode.OFF)
 SELF_TEST_STEPS = 4
 TEMPERATURE_CDEG = 2000  # ASSUMED: 20.00 deg C; no thermal model
-
-
-@dataclass
-class LastAttitude:
-    """The last valid attitude, repeated in invalid reports so that a careless reader sees no jump to zero."""
-
-    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
 
 
 class StarTracker:
@@ -115,7 +108,7 @@ class StarTracker:
         self.last_reasons = Reason.NOT_ACQUIRING
         self.self_test_result = SelfTest(0)
         self.reset_cause = ResetCause.POWER_ON
-        self._last_attitude = LastAttitude()
+        self._last_quaternion = IDENTITY
         self._on_frame = on_frame
         self._on_completed = on_completed
         self._powered_ns = 0
@@ -159,7 +152,7 @@ class StarTracker:
         self.imaging.cancel_capture()
         self.last_frame = None
         self.last_reasons = Reason.NOT_ACQUIRING
-        self._last_attitude = LastAttitude()
+        self._last_quaternion = IDENTITY
         self._blinded = False
         self._self_test = self._time_request = self._acquisition_request = None
         self.self_test_result = SelfTest(0)
@@ -416,7 +409,7 @@ class StarTracker:
         self.last_reasons = result.reasons
         if result.valid:
             x, y, z, w = (float(value) for value in result.q_icrs_to_sensor)
-            self._last_attitude = LastAttitude((x, y, z, w))
+            self._last_quaternion = (x, y, z, w)
         self._report_attitude(record, result.reasons)
         if record.late_ns:
             self.raise_event(
@@ -460,65 +453,11 @@ class StarTracker:
 
     def _report_attitude(self, record: FrameRecord, reasons: Reason) -> None:
         if record.settings.report:
-            self.send("attitude_report", self._attitude_fields(record, reasons))
-
-    def _attitude_fields(self, record: FrameRecord, reasons: Reason) -> dict[str, Any]:
-        """The report of a processed frame, or of a dropped one (``record.result`` is None)."""
-        result, cycles = record.result, record.cycles
-        latency_us = 0
-        if result is not None:
-            latency_us = saturated(microseconds(self.clock.now_ns - record.mid_exposure_ns), 32)
-        x, y, z, w = self._last_attitude.quaternion
-        fields: dict[str, Any] = {
-            "frame_index": record.index,
-            "mid_exposure_time": self.time.cuc(record.mid_exposure_ns),
-            "time_status": int(self.time.status),
-            "mode": int(self.mode if record.acquisition is None else record.acquisition),
-            "valid": int(result is not None and result.valid),
-            "reasons": int(reasons),
-            "q_x": x,
-            "q_y": y,
-            "q_z": z,
-            "q_w": w,
-            "exposure_us": microseconds(record.exposure_ns),
-            "cycles": 0 if cycles is None else saturated(cycles.total, 32),
-            "latency_us": latency_us,
-            "late": int(record.late_ns > 0),
-            "frames_dropped_before": min(65535, record.dropped_before),
-        }
-        covariance = np.zeros((3, 3)) if result is None or not result.valid else result.covariance_rad2
-        for i, j, name in (
-            (0, 0, "xx"),
-            (0, 1, "xy"),
-            (0, 2, "xz"),
-            (1, 1, "yy"),
-            (1, 2, "yz"),
-            (2, 2, "zz"),
-        ):
-            fields[f"covariance_{name}"] = float(covariance[i, j])
-        rate = None if result is None else result.rate_rad_s
-        fields["rate_valid"] = int(rate is not None)
-        for axis, name in enumerate("xyz"):
-            fields[f"rate_{name}"] = 0.0 if rate is None else float(rate[axis])
-        if result is None:
-            return fields | {
-                "spots_detected": 0,
-                "stars_identified": 0,
-                "windows": 0,
-                "window_half_width_px": 0,
-                "residual_rms_arcsec": 0.0,
-                "background_dn": 0.0,
-                "noise_dn": 0.0,
-            }
-        return fields | {
-            "spots_detected": min(65535, result.spots_detected),
-            "stars_identified": min(65535, len(result.stars)),
-            "windows": min(65535, len(result.rects)),
-            "window_half_width_px": min(65535, result.window_half_width_px),
-            "residual_rms_arcsec": float(result.residual_rms_arcsec),
-            "background_dn": float(result.background_dn),
-            "noise_dn": float(result.noise_dn),
-        }
+            # An invalid report repeats the last valid attitude, so that a careless reader sees no jump.
+            fields = attitude_fields(
+                record, reasons, self._last_quaternion, self.time, self.mode, self.clock.now_ns
+            )
+            self.send("attitude_report", fields)
 
     # -- housekeeping
     # ----------------------------------------------------------------------------------------------
