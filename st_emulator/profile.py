@@ -103,8 +103,8 @@ class Timing(Section):
             )
         if self.self_test_ms < 2 * self.frame_period_ms + self.readout_ms:
             raise ValueError(
-                f"self_test_ms = {self.self_test_ms} does not hold two frame_period_ms = {self.frame_period_ms}"
-                f" and readout_ms = {self.readout_ms:g}: the self-test looks at a frame"
+                f"self_test_ms = {self.self_test_ms} does not hold two frame_period_ms = "
+                f"{self.frame_period_ms} and readout_ms = {self.readout_ms:g}: the self-test looks at a frame"
             )
         return self
 
