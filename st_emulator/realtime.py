@@ -27,7 +27,7 @@ from .links import Link
 POLL_S = 0.02  # for links that cannot be waited for
 LONGEST_WAIT_S = 0.5
 SWITCH_INTERVAL_S = 0.0005  # the worker gives way to the loop this soon
-LOOP_PRIORITY = 2  # the least of the real-time priorities that leaves one for the worker
+LOOP_PRIORITY = 1  # the least of the real-time priorities
 
 
 class FrameWorker:
@@ -125,12 +125,10 @@ def ahead_of_others() -> Iterator[bool]:
 
 
 def behind_the_loop() -> None:
-    """The calling thread goes behind the loop that started it, yet before other work where the loop does: who
-    waits for a processor with the interpreter's lock in hand lets the loop wait too.
-    """
+    """The calling thread, started by the loop, goes with other work: a long search may not hold up a computer."""
     with contextlib.suppress(AttributeError, OSError):
         if os.sched_getscheduler(0) == os.SCHED_FIFO:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LOOP_PRIORITY - 1))
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def run_paced(
