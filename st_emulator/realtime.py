@@ -125,7 +125,7 @@ def ahead_of_others() -> Iterator[bool]:
 
 
 def behind_the_loop() -> None:
-    """The calling thread, started by the loop, goes with other work: a long search may not hold up a computer."""
+    """The calling thread, started by the loop, goes with other work: it may compute for long."""
     with contextlib.suppress(AttributeError, OSError):
         if os.sched_getscheduler(0) == os.SCHED_FIFO:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
