@@ -118,7 +118,8 @@ PARAMETER_TABLE: tuple[ParameterDefinition, ...] = (
         "",
         0,
         1,
-        "1: correct stellar aberration; 0: directions as they appear",
+        "1: correct stellar aberration once the time is set (up to 20.5 arcsec, not corrected while "
+        "FREE_RUNNING); 0: directions as they appear",
     ),
     ParameterDefinition(
         _P.VELOCITY_X_KM_S, FLOAT32, "km/s", -20, 20, "spacecraft velocity relative to the Earth, ICRS x"

@@ -33,9 +33,18 @@ telecommands take from a frame; temperature (a constant); the vendor's boot load
 estimates with their evidence in the unit's table of costs; a flight program of other authors may differ
 by a factor of two.
 
-**Memories** (service 6): RAM, a patch area of 65536 bytes, readable and writable; NON_VOLATILE, the
-stored parameters as JSON text, read only; IMAGE, the captured image with its header as in service 13,
-read only, absent until an image is captured.
+**Memories** (service 6): RAM, a patch area of 65536 bytes, readable and writable; NON_VOLATILE, 2048
+bytes, the parameters that differ from the factory values as JSON text and zeros behind, read only;
+IMAGE, the captured image with its header as in service 13, read only, absent until an image is
+captured.
+
+**Telemetry queue.** 32768 bytes wait for the line at most, 16384 more are kept for services 1 and 5. A
+packet that finds no room is lost as a whole; its sequence count and message type counter are used up,
+so that the gap shows, and event TX_QUEUE_OVERFLOWED tells how many when there is room again.
+
+**Detection.** The detector's noise would allow stars of about 8.4 mag in roja1; the firmware's
+magnitude threshold (parameter magnitude_limit) keeps spots brighter than the catalogue's limit, so that
+hardly a spot is without a catalogue star.
 """
 
 

@@ -183,6 +183,7 @@ class Emulator:
                 "frame_index": record.index,
                 "exposure_mid_ns": record.mid_exposure_ns,
                 "recorded": True,
+                "file": Path(str(getattr(record.pixels, "name", ""))).name,
             }
             self._truth.write(json.dumps(fields) + "\n")
 

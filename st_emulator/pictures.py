@@ -95,7 +95,7 @@ def _frame_on(axes: Any, frame: Any, result: FrameResult) -> None:
         axes.plot([], [], color=WINDOW_COLOUR, label="detection windows")
     axes.set_xlim(-0.5, pixels.shape[1] - 0.5)
     axes.set_ylim(pixels.shape[0] - 0.5, -0.5)
-    axes.set_xlabel("column, px")
+    axes.set_xlabel("column, px      (dots without a mark: stars fainter than the catalogue, hot pixels)")
     axes.set_ylabel("row, px")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=7, ncols=3, borderaxespad=0.2)
 

@@ -158,6 +158,7 @@ class Requirements(Section):
     """Figures that the unit is held to; the campaigns and the demo report against them."""
 
     cross_boresight_arcsec: Positive | None = None
+    detection_limit_mag: Annotated[float, Field(ge=0, le=10)] | None = None
     lost_in_space_coverage: Annotated[float, Field(ge=0, le=1)] | None = None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import math
 import os
 from dataclasses import dataclass
@@ -71,16 +72,17 @@ def open_output(stack: contextlib.ExitStack, path: Path | None, option: str) -> 
 
 
 def scenario_of(options: RunOptions, live: bool) -> Scenario:
-    """The scenario asked for. Without one a live unit starts at the computer's date, whole second, as its
-    OBC will set its time by a real clock; a unit without an OBC starts at a fixed date, so that every run
-    is the same.
+    """The scenario asked for. Without one a live unit starts at the computer's date, as its OBC will set its
+    time by a real clock; a unit without an OBC starts at a fixed date, so that every run is the same.
     """
     if options.scenario is not None:
         return load_scenario(options.scenario)
-    return Scenario(start_utc=datetime.now(UTC).replace(microsecond=0)) if live else Scenario()
+    return Scenario(start_utc=datetime.now(UTC)) if live else Scenario()
 
 
-def open_store(options: RunOptions, profile: UnitProfile, live: bool) -> tuple[Store, str]:
+def open_store(
+    stack: contextlib.ExitStack, options: RunOptions, profile: UnitProfile, live: bool
+) -> tuple[Store, str]:
     """The unit's non-volatile memory and what to tell the user about it.
 
     Only a run on a line without a scenario keeps it by itself: the others are to give the same bytes each
@@ -96,9 +98,23 @@ def open_store(options: RunOptions, profile: UnitProfile, live: bool) -> tuple[S
     if path.is_dir():
         raise ConfigurationError(f"--store {path}: is a folder; allowed are a file's path or none")
     store = FileStore(path, profile.name)
+    _lock(stack, path)
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise ConfigurationError(f"--store {path}: cannot be written: permission denied")
     return store, str(path)
+
+
+def _lock(stack: contextlib.ExitStack, path: Path) -> None:
+    """Keep a second unit off the same non-volatile memory while this one runs."""
+    try:
+        file = stack.enter_context(path.with_name(path.name + ".lock").open("w", encoding="utf-8"))
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ConfigurationError(
+            f"--store {path}: another unit that runs has it; allowed are a file of its own or none"
+        ) from None
+    except OSError as error:
+        raise ConfigurationError(f"--store {path}: cannot be locked: {error.strerror}") from error
 
 
 def run_unit(options: RunOptions) -> None:
@@ -134,7 +150,7 @@ def run_unit(options: RunOptions) -> None:
     with contextlib.ExitStack() as stack:
         stack.callback(stop.close)
         stack.enter_context(stop.installed())
-        store, store_text = open_store(options, profile, live)
+        store, store_text = open_store(stack, options, profile, live)
         link = stack.enter_context(open_link(specification, "unit", profile.wire.baud, profile.name))
         journal = open_output(stack, options.journal, "--journal")
         truth = open_output(stack, options.truth, "--truth")
@@ -145,6 +161,8 @@ def run_unit(options: RunOptions) -> None:
         except KeyboardInterrupt:
             console.print("stopped before power-on")
             return
+        if options.scenario is None:
+            scenario = scenario_of(options, live)  # power comes on now
         worker = FrameWorker() if speed != math.inf else None
         if worker is not None:
             stack.callback(worker.close)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -117,3 +123,24 @@ def test_units_of_the_requirements():
     assert load_unit("zy3").requirements.cross_boresight_arcsec == 1.67
     assert load_unit("roja1").requirements.lost_in_space_coverage == 0.75
     assert load_unit("zy3").requirements.lost_in_space_coverage == 0.99
+
+
+def test_an_interrupt_of_the_whole_process_group_ends_a_campaign_at_once():
+    """As Ctrl-C in a terminal does: each process of the group gets it; none goes on or prints a traceback."""
+    arguments = ("campaign", "lost-in-space", "--n", "100000", "--workers", "2")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "st_emulator", *arguments],
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        time.sleep(4.0)  # well into its cases; any other moment must do as well
+        os.killpg(process.pid, signal.SIGINT)
+        said, _ = process.communicate(timeout=20)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 130
+    assert "Traceback" not in said

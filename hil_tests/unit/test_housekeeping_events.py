@@ -175,12 +175,25 @@ def test_load_dump_and_check(bench: Bench) -> None:
 def test_non_volatile_memory_reads_as_the_stored_parameters(bench: Bench) -> None:
     bench.set_parameters(tracking_min_stars=5)
     text = b'{"tracking_min_stars": 5}'
-    bench.send("memory_dump", {"memory_id": 2, "start_address": 0, "length": len(text)}, ack=0)
-    bench.run(30)
-    assert bench.of("memory_dump_report")[-1]["data"] == text
-    count = bench.send("memory_dump", {"memory_id": 2, "start_address": 0, "length": len(text) + 1}, ack=0)
+    for start in (0, 1024):  # the memory has 2048 bytes, zero behind the text
+        bench.send("memory_dump", {"memory_id": 2, "start_address": start, "length": 1024}, ack=0)
+        bench.run(150)
+    first, second = (report["data"] for report in bench.of("memory_dump_report"))
+    assert first + second == text.ljust(2048, b"\0")
+    count = bench.send("memory_dump", {"memory_id": 2, "start_address": 2047, "length": 2}, ack=0)
     bench.run(30)
     assert bench.failure(count)[1] == 14
+
+
+def test_verification_finds_room_in_a_full_queue(bench: Bench) -> None:
+    """Reports overflow the queue; each accepted telecommand still ends in exactly one completion."""
+    wanted = {"structure_ids": [1, 2, 3, 1] * 4}
+    packets = [bench.packet("hk_one_shot", wanted, ack=0b1001) for _ in range(150)]
+    bench.put(b"".join(wire.slip_frame(packet) for packet in packets))
+    bench.run(15_000)
+    assert len(bench.of("acceptance_success")) == len(packets)
+    assert len(bench.of("completion_success")) == len(packets)
+    assert len(bench.of("hk_report")) < 16 * len(packets)
 
 
 def test_queue_overflow_is_told_with_the_packets_lost(bench: Bench) -> None:

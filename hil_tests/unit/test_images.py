@@ -14,7 +14,7 @@ from st_emulator.protocol.enumerations import FaultCause
 from st_emulator.scenario import Scenario
 from st_emulator.validation import validate
 
-from .conftest import MS, Bench, MakeBench
+from .conftest import MS, SOURCE, Bench, MakeBench
 
 BUSY, OUT_OF_RANGE, ABORTED = 11, 8, 17
 PIXELS = 752 * 480
@@ -104,6 +104,8 @@ def test_some_parts_again(new_bench: MakeBench) -> None:
         bench.run(100)
         assert [(name, fields["part_number"]) for name, fields in parts_of(bench)] == wanted
         assert bench.stages(count)[-1] == "completion_success"
+        asked_for = [packet for packet in bench.packets if packet.name.startswith("image_")]
+        assert {packet.decoded["destination_id"] for packet in asked_for} == {SOURCE}
     data = bench.emulator.unit.image_store.data
     assert parts_of(bench)[1][1]["data"] == data[1024:2048]
     for first, number in ((PARTS + 1, 0), (1, PARTS + 1), (PARTS, 2), (65535, 65535)):

@@ -4,6 +4,8 @@ unit file.
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -25,7 +27,7 @@ MATCH_PX = 2.0
 ISOLATION_PX = 12.0  # a neighbour nearer than this disturbs
 NEIGHBOUR_MAG = 3.0  # and counts when it is at most so much dimmer
 EDGE_PX = 8.0
-TRUE_LIGHT_MAG = 9.0  # a spot on a star brighter than this is no false cluster
+NO_LIMIT_MAG = 99.0
 
 
 @dataclass(frozen=True)
@@ -36,13 +38,19 @@ class Measurement:
     false_clusters: int
 
 
-def measure(profile: UnitProfile, seed: int, n: int, index: int) -> Measurement:
-    """One frame at a random pointing, full-frame detection against the truth."""
+def measure(profile: UnitProfile, seed: int, n: int, gated: bool, index: int) -> Measurement:
+    """One frame at a random pointing, full-frame detection against the truth.
+
+    ``gated`` False: without the firmware's magnitude threshold, so that the noise alone sets the limit.
+    """
     chain = Chain.of(profile, seed)
     chain.scene.trajectory = InertialTrajectory(random_pointings(n, seed)[index])
     frame = chain.expose(index)
     truth = chain.scene.truth(frame)
-    spots, _ = detect(frame.full(), chain.configuration.detection)
+    detection = chain.configuration.detection
+    if not gated:
+        detection = dataclasses.replace(detection, magnitude_limit=NO_LIMIT_MAG)
+    spots, _ = detect(frame.full(), detection)
     place = np.array([(star.x_px, star.y_px, star.hp_mag) for star in truth.stars]).reshape(-1, 3)
     found = np.stack([spots.x_px, spots.y_px], axis=1).reshape(-1, 2)
     columns, rows = profile.detector.columns, profile.detector.rows
@@ -59,14 +67,13 @@ def measure(profile: UnitProfile, seed: int, n: int, index: int) -> Measurement:
             measured.append((magnitude, 1.0, *offset[nearest]))
         else:
             measured.append((magnitude, 0.0, np.nan, np.nan))
-    bright = place[place[:, 2] < TRUE_LIGHT_MAG]
-    false = sum(not np.any(np.hypot(bright[:, 0] - x, bright[:, 1] - y) < 2 * MATCH_PX) for x, y in found)
+    false = sum(not np.any(np.hypot(place[:, 0] - x, place[:, 1] - y) < 2 * MATCH_PX) for x, y in found)
     return Measurement(np.array(measured).reshape(-1, 4), false)
 
 
-def _all(request: CampaignRequest) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _all(request: CampaignRequest, gated: bool = True) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     outcomes = request.workers.map(
-        partial(measure, request.profile, request.seed, request.n), range(request.n)
+        partial(measure, request.profile, request.seed, request.n, gated), range(request.n)
     )
     return np.concatenate([item.stars for item in outcomes]), np.array(
         [item.false_clusters for item in outcomes]
@@ -101,18 +108,39 @@ def run_centroids(request: CampaignRequest) -> CampaignResult:
     return CampaignResult(figures, checks)
 
 
-def run_detection(request: CampaignRequest) -> CampaignResult:
-    """Share of the stars detected, in bins about the limiting magnitude, and clusters on no star a frame."""
-    stars, false = _all(request)
-    limit = round(request.profile.detection.magnitude_limit, 1)
-    table = []
-    for centre in np.arange(limit - 0.9, limit + 0.95, 0.3):
+def _shares(stars: NDArray[np.float64], centres: NDArray[np.float64]) -> list[dict[str, Any]]:
+    """Share detected in bins of +- 0.15 mag about the magnitudes ``centres``."""
+    rows = []
+    for centre in centres:
         chosen = stars[np.abs(stars[:, 0] - centre) <= DETECTION_HALF_BIN_MAG]
         if len(chosen):
-            detected = float(np.mean(chosen[:, 1]))
-            table.append(
-                {"magnitude": round(float(centre), 3), "stars": len(chosen), "share_detected": detected}
-            )
+            share = float(np.mean(chosen[:, 1]))
+            rows.append({"magnitude": round(float(centre), 3), "stars": len(chosen), "share_detected": share})
+    return rows
+
+
+def _half_detected_mag(rows: list[dict[str, Any]]) -> float | None:
+    """The magnitude at which half are detected, between two bins; None where the bins do not reach it."""
+    for brighter, dimmer in itertools.pairwise(rows):
+        high, low = brighter["share_detected"], dimmer["share_detected"]
+        if high >= 0.5 > low:
+            step = dimmer["magnitude"] - brighter["magnitude"]
+            return float(brighter["magnitude"] + step * (high - 0.5) / (high - low))
+    return None
+
+
+def run_detection(request: CampaignRequest) -> CampaignResult:
+    """Share of the stars detected, in bins about the limiting magnitude, and clusters on no star a frame.
+
+    The limiting magnitude is the source's (``requirements``), not the parameter that is measured. Beside it,
+    how deep the noise alone would allow to go, with the clusters on no star there.
+    """
+    stars, false = _all(request)
+    ungated, ungated_false = _all(request, gated=False)
+    limit = request.profile.requirements.detection_limit_mag or request.profile.detection.magnitude_limit
+    centres = np.arange(limit - 0.9, limit + 2.5, 0.3)
+    table = _shares(stars, centres[:7])
+    ungated_table = _shares(ungated, centres)
     at_limit = stars[np.abs(stars[:, 0] - limit) <= DETECTION_HALF_BIN_MAG]
     share = float(np.mean(at_limit[:, 1])) if len(at_limit) else None
     false_mean = float(np.mean(false))
@@ -122,7 +150,10 @@ def run_detection(request: CampaignRequest) -> CampaignResult:
         "share_detected_at_limit": share,
         "false_clusters_per_frame": false_mean,
         "false_clusters_worst_frame": int(np.max(false)),
+        "noise_limited_mag": _half_detected_mag(ungated_table),
+        "noise_limited_false_clusters_per_frame": float(np.mean(ungated_false)),
         "by_magnitude": table,
+        "by_magnitude_noise_limited": ungated_table,
     }
     checks = [
         check("share_detected_at_limit_low", share, ">=", 0.4, ""),

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from types import TracebackType
 from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
+
+AHEAD = 8  # cases in the pool for each worker, so that none waits for work
 
 Case = TypeVar("Case")
 Outcome = TypeVar("Outcome")
@@ -69,11 +73,36 @@ class Workers:
                     outcomes.append(function(case))
                     advance()
                 return outcomes
-            context = multiprocessing.get_context("forkserver")
-            with ProcessPoolExecutor(self.count, mp_context=context) as pool:
-                futures = {pool.submit(function, case): index for index, case in enumerate(cases)}
-                results: dict[int, Outcome] = {}
-                for future in as_completed(futures):
-                    results[futures[future]] = future.result()
+            return self._spread(function, cases, advance)
+
+    def _spread(
+        self, function: Callable[[Case], Outcome], cases: Sequence[Case], advance: Callable[[], None]
+    ) -> list[Outcome]:
+        """Over processes, in batches, so that a stop is soon: a batch is what the workers still finish."""
+        context = multiprocessing.get_context("forkserver")
+        pool = ProcessPoolExecutor(
+            self.count, mp_context=context, initializer=_leave_interrupts_to_the_parent
+        )
+        try:
+            results: dict[int, Outcome] = {}
+            waiting = iter(enumerate(cases))
+            running: dict[Future[Outcome], int] = {}
+            while True:
+                for index, case in itertools.islice(waiting, AHEAD * self.count - len(running)):
+                    running[pool.submit(function, case)] = index
+                if not running:
+                    break
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    results[running.pop(future)] = future.result()
                     advance()
-                return [results[index] for index in range(len(cases))]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        pool.shutdown()
+        return [results[index] for index in range(len(cases))]
+
+
+def _leave_interrupts_to_the_parent() -> None:
+    """A terminal's Ctrl-C reaches every process of the group; the parent alone acts on it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from .link import ClosesOnExit, LinkError
 
-STALE_AFTER_NS = 1_000_000_000
+STALE_AFTER_NS = 10_000_000_000
 """Bytes that nobody has begun to read for this long are flushed: a late reader must not get old telemetry."""
 INPUT_QUEUE_BYTES = 4095
 """Linux n_tty holds so many unread bytes; what lies behind them is not counted by FIONREAD."""
@@ -125,7 +125,7 @@ class PtyLink(ClosesOnExit):
         (waiting,) = struct.unpack("i", fcntl.ioctl(self._slave_fd, termios.FIONREAD, b"\0\0\0\0"))
         if waiting < min(self._unread_bytes, INPUT_QUEUE_BYTES):
             # Somebody reads. (At the queue's limit reading does not show, as what is read is refilled from
-            # behind; a reader who stays that far behind for a whole second counts as absent.)
+            # behind; a reader who stays that far behind for so long counts as absent.)
             self._unread_bytes = waiting
             self._unread_since_ns = now_ns
         elif now_ns - self._unread_since_ns >= STALE_AFTER_NS:

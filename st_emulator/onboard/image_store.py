@@ -130,7 +130,7 @@ class ImageStore:
             elif number == 1:
                 name = "image_first_part"
             data = self.data[(number - 1) * PART_BYTES : number * PART_BYTES]
-            self._unit.send(
+            self._download.answer(
                 name, {"transaction_id": self._transaction_id, "part_number": number, "data": data}
             )
             self._next_part += 1

@@ -13,6 +13,7 @@ from .requests import RejectedError
 if TYPE_CHECKING:
     from ..unit import StarTracker
 
+NON_VOLATILE_BYTES = 2048  # ASSUMED: room for every parameter as JSON text, the rest zero
 RAM_BYTES = 65536  # ASSUMED: a patch area of 64 KiB
 
 
@@ -31,7 +32,8 @@ class Memories:
         if memory_id == MemoryId.RAM:
             return self._ram
         if memory_id == MemoryId.NON_VOLATILE:
-            return json.dumps(self._unit.parameters.stored_values(), sort_keys=True).encode()
+            text = json.dumps(self._unit.parameters.stored_values(), sort_keys=True).encode()
+            return text.ljust(NON_VOLATILE_BYTES, b"\0")
         if memory_id == MemoryId.IMAGE:
             if not self._unit.image_store.data:
                 raise RejectedError(FailureCode.NO_IMAGE)

@@ -13,9 +13,11 @@ from ..protocol.framing import slip_encode
 from ..protocol.registry import REGISTRY, encode_telemetry
 from .onboard_time import OnboardTime
 
-QUEUE_LIMIT_BYTES = (
-    32768  # ASSUMED: half of a 64 KiB telemetry buffer, the other half being the image part in work
-)
+# ASSUMED: half of a 64 KiB telemetry buffer; a quarter more is kept for verification and events, so that they
+# find room when everything else is lost.
+QUEUE_LIMIT_BYTES = 32768
+RESERVED_BYTES = 16384
+RESERVED_SERVICES = (1, 5)
 
 
 class Transmitter:
@@ -81,7 +83,8 @@ class Transmitter:
         self._sequence_count = (self._sequence_count + 1) & 0x3FFF
         self._message_counts[kind] = (self._message_counts[kind] + 1) & 0xFFFF
         frame = slip_encode(packet)
-        if self.line.queued_bytes + len(frame) > QUEUE_LIMIT_BYTES:
+        limit = QUEUE_LIMIT_BYTES + (RESERVED_BYTES if definition.service in RESERVED_SERVICES else 0)
+        if self.line.queued_bytes + len(frame) > limit:
             self.lost_packets += 1
             return False
         self.packets += 1
