@@ -226,9 +226,7 @@ def _operate(
 
             def command(doing: str, action: Any) -> None:
                 do(doing)
-                session.sent += 1
                 action()
-                session.verified += 1
 
             try:
                 do("boot")
@@ -259,6 +257,8 @@ def _operate(
             except (ObcError, LinkError) as error:
                 session.problem = f"the OBC gave up: {error}"
             counters = obc.counters
+            session.sent = counters.telecommands_sent
+            session.verified = counters.telecommands_verified
             session.packets = counters.packets
             session.crc_errors = counters.crc_errors
             session.malformed = counters.malformed

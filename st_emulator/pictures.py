@@ -145,15 +145,13 @@ def draw_run(profile: UnitProfile, record: FrameRecord, series: Series, path: Pa
         )
         _frame_on(axes["frame"], record.pixels, record.result)
         result = record.result
-        axes["frame"].set_title(
-            f"frame {record.index}: {len(result.stars)} stars in {len(result.rects)} detection windows, "
-            f"half-width "
-            f"{result.window_half_width_px} px",
-            loc="left",
-            fontsize=9,
+        figure.suptitle(
+            f"{profile.unit.title}\n"
+            f"frame {record.index}: {len(result.stars)} stars identified in {len(result.rects)} detection "
+            f"windows of half-width {result.window_half_width_px} px",
+            fontsize=10,
         )
-        figure.suptitle(profile.unit.title)
-        valid, rest = series.valid, series.at_rest
+        valid = series.valid
         for axis, name, colour in ((0, "x", STAR_COLOUR), (1, "y", WINDOW_COLOUR)):
             axes["cross"].plot(
                 series.t_s[valid],
@@ -175,12 +173,8 @@ def draw_run(profile: UnitProfile, record: FrameRecord, series: Series, path: Pa
         )
         axes["roll"].set_ylabel("roll error,\narcsec")
         for name in ("cross", "roll"):
-            _bounds(
-                axes[name],
-                series.error_arcsec[valid & rest][:, :2]
-                if name == "cross"
-                else series.error_arcsec[valid & rest][:, 2],
-            )
+            shown_axes = (0, 1) if name == "cross" else (2,)
+            _bounds(axes[name], series.error_arcsec[valid][:, shown_axes])
             _shade_slew(axes[name], series)
             axes[name].grid(True, lw=0.4)
         axes["cross"].legend(loc="upper left", fontsize=7, ncols=4)
@@ -212,9 +206,10 @@ def draw_run(profile: UnitProfile, record: FrameRecord, series: Series, path: Pa
         _save(figure, path)
 
 
-def _bounds(axes: Any, at_rest: Any) -> None:
-    if len(at_rest):
-        axes.set_ylim(*(float(v) for v in (-1, 1) * np.array(max(4.5 * float(np.std(at_rest)), 1.0))))
+def _bounds(axes: Any, errors: Any) -> None:
+    if len(errors):
+        reach = 1.15 * max(float(np.max(np.abs(errors))), 0.8)
+        axes.set_ylim(-reach, reach)
 
 
 def _shade_slew(axes: Any, series: Series) -> None:
