@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import math
 import os
 from dataclasses import dataclass
@@ -90,31 +91,38 @@ def open_store(
     """
     if options.store == "none" or (options.store is None and not (live and options.scenario is None)):
         return VolatileStore(), "factory parameters, forgotten at the end"
-    path = (
-        Path(options.store).expanduser()
-        if options.store is not None
-        else state_folder() / f"{profile.name}.parameters.json"
-    )
-    if path.is_dir():
-        raise ConfigurationError(f"--store {path}: is a folder; allowed are a file's path or none")
-    store = FileStore(path, profile.name)
-    _lock(stack, path)
+    if options.store is not None:
+        path = Path(options.store).expanduser()
+        if path.is_dir():
+            raise ConfigurationError(f"--store {path}: is a folder; allowed are a file's path or none")
+        store = FileStore(path, profile.name)
+        if not _locked(stack, path):
+            raise ConfigurationError(
+                f"--store {path}: another unit that runs has it; allowed are a file of its own or none"
+            )
+    else:
+        # Each of several units of one kind that run at once has its own; alone it is always the first.
+        for number in itertools.count(1):
+            suffix = "" if number == 1 else f"-{number}"
+            path = state_folder() / f"{profile.name}{suffix}.parameters.json"
+            store = FileStore(path, profile.name)
+            if _locked(stack, path):
+                break
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise ConfigurationError(f"--store {path}: cannot be written: permission denied")
     return store, str(path)
 
 
-def _lock(stack: contextlib.ExitStack, path: Path) -> None:
-    """Keep a second unit off the same non-volatile memory while this one runs."""
+def _locked(stack: contextlib.ExitStack, path: Path) -> bool:
+    """Keep other units off a non-volatile memory while this one runs; False when another one has it."""
     try:
         file = stack.enter_context(path.with_name(path.name + ".lock").open("w", encoding="utf-8"))
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise ConfigurationError(
-            f"--store {path}: another unit that runs has it; allowed are a file of its own or none"
-        ) from None
+        return False
     except OSError as error:
-        raise ConfigurationError(f"--store {path}: cannot be locked: {error.strerror}") from error
+        raise ConfigurationError(f"--store {path}: cannot be written: {error.strerror}") from error
+    return True
 
 
 def run_unit(options: RunOptions) -> None:

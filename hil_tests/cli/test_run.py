@@ -277,3 +277,14 @@ def test_two_units_do_not_share_a_store(command, tmp_path):
             f"st-emulator: --store {store}: another unit that runs has it; "
             "allowed are a file of its own or none"
         ]
+
+
+def test_two_units_of_one_kind_have_a_store_each(tmp_path):
+    with LiveUnit("roja1", "--link", f"pty:{tmp_path / 'a'}") as first:
+        first.await_running()
+        with LiveUnit("roja1", "--link", f"pty:{tmp_path / 'b'}") as second:
+            second.await_running()
+            assert any("/roja1.parameters.json" in line for line in first.said)
+            assert any("/roja1-2.parameters.json" in line for line in second.said)
+            assert second.stop(signal.SIGINT) == 0
+        assert first.stop(signal.SIGINT) == 0
