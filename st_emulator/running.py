@@ -17,6 +17,7 @@ from rich.markup import escape
 from .clock import NS_PER_S
 from .emulator import Emulator
 from .errors import ConfigurationError
+from .firmware_model.modes import Mode
 from .links import Link, open_link, parse_link
 from .onboard.imaging import Lazy
 from .onboard.parameter_store import FileStore, Store, VolatileStore
@@ -125,6 +126,22 @@ def _locked(stack: contextlib.ExitStack, path: Path) -> bool:
     return True
 
 
+class _Watch:
+    """What is done now and then while a unit runs: files are written out, a unit gone off is told."""
+
+    def __init__(self, emulator: Emulator, console: Console) -> None:
+        self._emulator = emulator
+        self._console = console
+        self._off = False
+
+    def __call__(self) -> None:
+        self._emulator.flush()
+        off = self._emulator.unit.mode == Mode.OFF
+        if off and not self._off:
+            self._console.print("the unit is off: nothing is sent any more (Ctrl-C ends)")
+        self._off = off
+
+
 def run_unit(options: RunOptions) -> None:
     """Run a unit as ``st-emulator run`` does, until its end, Ctrl-C or SIGTERM.
 
@@ -195,7 +212,14 @@ def run_unit(options: RunOptions) -> None:
                 assert until_ns is not None
                 run_unpaced(emulator, stop=stop, until_ns=until_ns)
             else:
-                run_paced(emulator, link, stop=stop, speed=speed, until_ns=until_ns, on_wait=emulator.flush)
+                run_paced(
+                    emulator,
+                    link,
+                    stop=stop,
+                    speed=speed,
+                    until_ns=until_ns,
+                    on_wait=_Watch(emulator, console),
+                )
         finally:
             emulator.close()
         unit = emulator.unit

@@ -13,6 +13,7 @@ import pytest
 from hil_tests.cli.live import LiveUnit
 from hil_tests.vectors import reference_decoder
 from st_emulator.journal import read_journal
+from st_emulator.obc import Obc
 
 SCENARIO = """
 name = "at rest, then turning"
@@ -288,3 +289,15 @@ def test_two_units_of_one_kind_have_a_store_each(tmp_path):
             assert any("/roja1-2.parameters.json" in line for line in second.said)
             assert second.stop(signal.SIGINT) == 0
         assert first.stop(signal.SIGINT) == 0
+
+
+def test_a_unit_that_went_off_says_so(tmp_path):
+    link = tmp_path / "tracker"
+    with LiveUnit("roja1", "--link", f"pty:{link}", "--store", "none") as unit:
+        unit.await_running()
+        with Obc.connect(f"pty:{link}", apid=1073) as obc:
+            obc.wait_for("hk_report", lambda telemetry: True, timeout_s=20)
+            obc.shutdown()
+            obc.wait(1.5)
+        assert unit.stop(signal.SIGINT) == 0
+    assert "the unit is off: nothing is sent any more (Ctrl-C ends)" in unit.said
