@@ -4,15 +4,17 @@ import fcntl
 import os
 import select
 import signal
+import struct
 import subprocess
 import sys
+import termios
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from st_emulator.links import LinkError, open_link
-from st_emulator.links.pty import STALE_AFTER_NS, PtyLink, live_paths
+from st_emulator.links.pty import INPUT_QUEUE_BYTES, STALE_AFTER_NS, PtyLink, live_paths
 
 PATIENCE_S = 20.0  # only bounds a hang
 
@@ -130,6 +132,16 @@ def test_reading_alone_also_flushes_what_is_stale(link: PtyLink, time: SteppedTi
         assert not has_input(reader.fileno())
 
 
+def await_unread(descriptor: int, count: int) -> None:
+    """Until the kernel has moved so many bytes into the reader's queue, which it does in its own time."""
+    for _ in range(int(PATIENCE_S / 0.005)):
+        (waiting,) = struct.unpack("i", fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4)))
+        if waiting >= count:
+            return
+        select.select([], [], [], 0.005)
+    raise AssertionError(f"the reader's queue has {waiting} bytes after {PATIENCE_S} s, not {count}")
+
+
 def test_a_backlog_beyond_the_input_queue_is_flushed_whole(link: PtyLink, time: SteppedTime) -> None:
     taken = 0
     while not link.dropped_bytes:
@@ -137,7 +149,7 @@ def test_a_backlog_beyond_the_input_queue_is_flushed_whole(link: PtyLink, time: 
     dropped = link.dropped_bytes
     time.now_ns += STALE_AFTER_NS
     with open(link.path, "rb", buffering=0) as reader:
-        assert select.select([reader.fileno()], [], [], PATIENCE_S)[0]
+        await_unread(reader.fileno(), INPUT_QUEUE_BYTES)
         assert link.write(b"new") == 3
         assert read_now(reader.fileno()) == b"new"
     assert link.dropped_bytes == dropped + taken
