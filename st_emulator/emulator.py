@@ -18,13 +18,13 @@ from typing import Any
 from .clock import VirtualClock
 from .configuration import scene_of, star_tables
 from .journal import JournalWriter, TextSink
-from .line import SerialLine
 from .onboard.imaging import FrameRecord, FrameSource, Lazy, Submit
 from .onboard.parameter_store import Store, StoreContents, VolatileStore
 from .profile import UnitProfile
 from .scenario import Scenario
 from .scenario_inputs import parameters_of, telecommands_of
 from .unit import StarTracker
+from .wire.slip_port import SlipPort
 from .world.recorded import RecordedFrames
 from .world.scene import RenderedFrame, SceneRenderer
 from .world.time_scales import tai_ns_from_utc
@@ -90,13 +90,6 @@ class Emulator:
         self._store = store if store is not None else VolatileStore()
         self._apply_scenario_parameters()
         self.start_tai_ns = tai_ns_from_utc(self.scenario.start_utc)
-        self.line = SerialLine(
-            self.clock,
-            self.baud,
-            self._transmitted,
-            lambda data: self.unit.receive(data),
-            pace_reception=pace_reception,
-        )
         self.scene: SceneRenderer | None = None
         source: FrameSource
         if frames is not None:
@@ -106,7 +99,9 @@ class Emulator:
         self.unit = StarTracker(
             profile,
             self.clock,
-            self.line,
+            lambda unit: SlipPort(
+                self.clock, self.baud, self._transmitted, unit, pace_reception=pace_reception
+            ),
             source,
             star_tables(profile),
             self._store,
@@ -150,7 +145,7 @@ class Emulator:
         if data:
             if self._journal is not None:
                 self._journal.write(self.clock.now_ns, "rx", data)
-            self.line.arrive(data)
+            self.unit.port.arrive(data)
 
     def flush(self) -> None:
         """Write out what the journal and the truth file hold back."""

@@ -19,7 +19,6 @@ from .firmware_model.configuration import StarTables
 from .firmware_model.firmware import FirmwareState
 from .firmware_model.modes import Mode, ModeEvent, next_mode
 from .firmware_model.reasons import Reason
-from .line import SerialLine
 from .onboard.attitude_report import IDENTITY, attitude_fields
 from .onboard.counters import FrameCounters, LinkCounters, saturated
 from .onboard.image_store import ImageStore
@@ -38,12 +37,14 @@ from .protocol.enumerations import (
     FaultCause,
     FrameDropCause,
     HousekeepingId,
+    MalformedReason,
     ResetCause,
     SelfTest,
     StoreInvalidCause,
 )
 from .protocol.events import EVENTS
 from .protocol.packets import Telecommand
+from .wire.port import UnitPort
 
 SILENT = (Mode.BOOT, Mode.OFF)
 SELF_TEST_STEPS = 4
@@ -51,12 +52,12 @@ TEMPERATURE_CDEG = 2000  # ASSUMED: 20.00 deg C; no thermal model
 
 
 class StarTracker:
-    """The unit behind its line.
+    """The unit behind its port.
 
     Args:
         profile: the unit file.
         clock: the virtual clock; power comes on at its present time with :meth:`power_on`.
-        line: the serial line; the unit's telemetry goes out on it, ``receive`` takes what comes in.
+        make_port: makes the port to the OBC, which tells this unit what comes in.
         source: what the detector sees.
         tables: the on-board catalogue.
         store: the non-volatile memory.
@@ -69,7 +70,7 @@ class StarTracker:
         self,
         profile: UnitProfile,
         clock: VirtualClock,
-        line: SerialLine,
+        make_port: Callable[[StarTracker], UnitPort],
         source: FrameSource,
         tables: StarTables,
         store: Store,
@@ -80,14 +81,14 @@ class StarTracker:
     ) -> None:
         self.profile = profile
         self.clock = clock
-        self.line = line
+        self.port = make_port(self)
         self.tables = tables
         self._tables_digest = digest_of(tables)
         self.mode = Mode.OFF
         self.time = OnboardTime()
         self.link_counters = LinkCounters()
         self.frame_counters = FrameCounters()
-        self.transmitter = Transmitter(clock, line, self.time, profile.wire.apid, profile.wire.source_id)
+        self.transmitter = Transmitter(clock, self.port, self.time, profile.wire.apid, profile.wire.source_id)
         self.receiver = Receiver(self, profile.wire.apid, self.link_counters)
         self.parameters = Parameters(profile, store)
         self.imaging = Imaging(
@@ -199,12 +200,12 @@ class StarTracker:
         self._give_up_self_test()
         self._give_up_time(FailureCode.ABORTED)
         self.services.reset()
-        self.later(0, partial(self._when_line_idle, last))  # behind what is sent at this instant
+        self.later(0, partial(self._when_idle, last))  # behind what is sent at this instant
 
-    def _when_line_idle(self, action: Callable[[], None]) -> None:
-        waiting_ns = self.line.duration_ns(self.line.queued_bytes)
+    def _when_idle(self, action: Callable[[], None]) -> None:
+        waiting_ns = self.port.drain_ns(self.port.queued_bytes)
         if waiting_ns:
-            self.later(waiting_ns, partial(self._when_line_idle, action))
+            self.later(waiting_ns, partial(self._when_idle, action))
         else:
             action()
 
@@ -318,20 +319,25 @@ class StarTracker:
             request.completed()
             self._follow(ModeEvent.SELF_TEST_PASSED)
 
-    # -- the line
-    # --------------------------------------------------------------------------------------------------
+    # -- the port's client
+    # -----------------------------------------------------------------------------------------------
 
-    def receive(self, data: bytes) -> None:
-        """Bytes whose last bit has arrived now."""
-        if self.mode in SILENT or self._going_down:
-            return  # the receiver is off: as on the real line, the bytes are lost
+    @property
+    def listening(self) -> bool:
+        return self.mode not in SILENT and not self._going_down
+
+    def bytes_received(self, count: int) -> None:
+        self.link_counters.rx_bytes += count
+
+    def packet_received(self, raw: bytes) -> None:
         latency_ns = self.profile.timing.telecommand_latency_us * NS_PER_US
-        for raw in self.receiver.receive(data, self.clock.now_ns):
-            received_ns = self.clock.now_ns
-            self.later(latency_ns, partial(self._handle, raw, received_ns))
+        self.later(latency_ns, partial(self._handle, raw, self.clock.now_ns))
+
+    def packet_discarded(self, reason: MalformedReason, length: int) -> None:
+        self.receiver.discarded(reason, length)
 
     def _handle(self, raw: bytes, received_ns: int) -> None:
-        if self.mode in SILENT or self._going_down:
+        if not self.listening:
             return
         self.services.received_ns = received_ns
         self.receiver.handle(raw)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from st_emulator.clock import VirtualClock
 from st_emulator.errors import ConfigurationError
 from st_emulator.journal import JournalWriter, read_journal
-from st_emulator.line import SerialLine
+from st_emulator.wire.serial_line import SerialLine
 
 
 def test_events_run_by_time_then_by_the_order_of_their_scheduling() -> None:

@@ -118,7 +118,7 @@ def test_garbage_without_end_takes_no_memory(bench: Bench) -> None:
     for _ in range(50):
         bench.put(b"\x55" * 1000)
         bench.run(90)
-    decoder = bench.emulator.unit.receiver._decoder
+    decoder = bench.emulator.unit.port._decoder
     assert len(decoder._frame) <= 1024
     bench.put(b"\xc0")
     count = bench.send("ping")

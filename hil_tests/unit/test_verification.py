@@ -144,8 +144,8 @@ FAILURES: dict[str, tuple[str, dict[str, Any], tuple[int, int]]] = {
     "17 structures": ("hk_one_shot", {"structure_ids": [1] * 17}, (OUT_OF_RANGE, 0)),
     "interval structure": (
         "hk_set_interval",
-        {"intervals": [{"structure_id": 4, "interval_ms": 1000}]},
-        (UNKNOWN_ID, 4),
+        {"intervals": [{"structure_id": 9, "interval_ms": 1000}]},
+        (UNKNOWN_ID, 9),
     ),
     "interval short": (
         "hk_set_interval",
@@ -158,7 +158,7 @@ FAILURES: dict[str, tuple[str, dict[str, Any], tuple[int, int]]] = {
         (OUT_OF_RANGE, 3),
     ),
     "event on": ("event_enable", {"event_ids": [0]}, (UNKNOWN_ID, 0)),
-    "event off": ("event_disable", {"event_ids": [1, 20]}, (UNKNOWN_ID, 20)),
+    "event off": ("event_disable", {"event_ids": [1, 99]}, (UNKNOWN_ID, 99)),
     "load memory": ("memory_load", LOAD | {"memory_id": 9}, (UNKNOWN_ID, 9)),
     "load read-only": ("memory_load", LOAD | {"memory_id": 2}, (READ_ONLY, 2)),
     "load past the end": ("memory_load", LOAD | {"start_address": 65532}, (ADDRESS, 65532)),

@@ -15,7 +15,6 @@ from .requests import Request
 if TYPE_CHECKING:
     from ..unit import StarTracker
 
-PART_BYTES = 1024  # ASSUMED: data of one part; with its headers it fits the largest telemetry packet
 PROGRESS_STEPS = 10
 QUEUE_AHEAD_BYTES = 1500  # a part is built when less than this waits, so attitude reports slip in between
 
@@ -88,7 +87,7 @@ class ImageStore:
     @property
     def parts(self) -> int:
         """Parts of the image kept, 0 without one."""
-        return -(-len(self.data) // PART_BYTES)
+        return -(-len(self.data) // self._unit.port.part_bytes)
 
     def download(self, request: Request, transaction_id: int, first_part: int, parts: int) -> None:
         """Send ``parts`` parts from ``first_part`` (1 is the first); the request completes with the last."""
@@ -121,15 +120,16 @@ class ImageStore:
     def _send_parts(self) -> None:
         if self._download is None:
             return
-        line = self._unit.line
-        while self._next_part <= self._last_part and line.queued_bytes < QUEUE_AHEAD_BYTES:
+        port = self._unit.port
+        size = port.part_bytes
+        while self._next_part <= self._last_part and port.queued_bytes < QUEUE_AHEAD_BYTES:
             number = self._next_part
             name = "image_part"
             if number == self.parts:
                 name = "image_last_part"
             elif number == 1:
                 name = "image_first_part"
-            data = self.data[(number - 1) * PART_BYTES : number * PART_BYTES]
+            data = self.data[(number - 1) * size : number * size]
             self._download.answer(
                 name, {"transaction_id": self._transaction_id, "part_number": number, "data": data}
             )
@@ -139,5 +139,5 @@ class ImageStore:
             self._download.completed()
             self._download = None
             return
-        excess = line.queued_bytes - QUEUE_AHEAD_BYTES + 1
-        self._unit.later(max(line.duration_ns(excess), 1), self._send_parts)
+        excess = port.queued_bytes - QUEUE_AHEAD_BYTES + 1
+        self._unit.later(max(port.drain_ns(excess), 1), self._send_parts)

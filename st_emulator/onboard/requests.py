@@ -1,4 +1,4 @@
-"""Telecommands in: framing, acceptance, verification. Each kind of bad input has its counter, event or
+"""Telecommands in: acceptance, verification. Each kind of bad input has its counter, event or
 failure report.
 """
 
@@ -8,15 +8,13 @@ import re
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from ..protocol.enumerations import EventId, FailureCode, FramingReason, MalformedReason
+from ..protocol.enumerations import EventId, FailureCode, MalformedReason
 from ..protocol.field_types import FieldViolation
-from ..protocol.framing import FrameReceived, SlipDecoder
 from ..protocol.packets import (
     ACK_ACCEPTANCE,
     ACK_COMPLETION,
     ACK_PROGRESS,
     ACK_START,
-    MAX_TELECOMMAND_BYTES,
     Malformed,
     RequestId,
     Telecommand,
@@ -101,39 +99,27 @@ class RequestClient(Protocol):
 
 
 class Receiver:
-    """Bytes of the line to executed telecommands.
-
-    ``receive`` only collects frames; ``handle`` works on one whole frame, after the unit's latency.
-    """
+    """Packets as they were received to executed telecommands."""
 
     def __init__(self, client: RequestClient, apid: int, counters: LinkCounters) -> None:
         self._client = client
         self._apid = apid
         self.counters = counters
-        self._decoder = SlipDecoder(MAX_TELECOMMAND_BYTES)
         self._expected_sequence: dict[int, int] = {}
 
     def reset(self) -> None:
-        """As after power-on: a half received frame is forgotten."""
-        self._decoder = SlipDecoder(MAX_TELECOMMAND_BYTES)
+        """As after power-on: no telecommand has come yet."""
         self._expected_sequence.clear()
 
-    def receive(self, data: bytes, now_ns: int) -> list[bytes]:
-        """Take bytes off the line; returns the whole frames among them."""
-        self.counters.rx_bytes += len(data)
-        frames = []
-        for event in self._decoder.receive(data, now_ns):
-            if isinstance(event, FrameReceived):
-                frames.append(event.data)
-                continue
-            self.counters.tc_received += 1
-            if event.reason == FramingReason.OVERSIZED:
-                self.counters.oversized_frames += 1
-                self._malformed(event.reason.malformed_reason, self.counters.oversized_frames, event.length)
-            else:
-                self.counters.framing_errors += 1
-                self._malformed(event.reason.malformed_reason, self.counters.framing_errors, event.length)
-        return frames
+    def discarded(self, reason: MalformedReason, length: int) -> None:
+        """Count and report bytes of which the framing could make no packet."""
+        self.counters.tc_received += 1
+        if reason == MalformedReason.FRAME_OVERSIZED:
+            self.counters.oversized_frames += 1
+            self._malformed(reason, self.counters.oversized_frames, length)
+        else:
+            self.counters.framing_errors += 1
+            self._malformed(reason, self.counters.framing_errors, length)
 
     def _malformed(self, reason: MalformedReason, count: int, length: int) -> None:
         self.counters.tc_rejected += 1

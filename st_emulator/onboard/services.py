@@ -227,7 +227,7 @@ class Services:
         return values | {
             "tx_bytes": saturated(unit.transmitter.bytes, 32),
             "tx_packets": saturated(unit.transmitter.packets, 32),
-            "tx_queue_bytes": unit.line.queued_bytes,
+            "tx_queue_bytes": unit.port.queued_bytes,
         }
 
     def _timing(self) -> dict[str, int]:

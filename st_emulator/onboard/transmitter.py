@@ -1,5 +1,5 @@
 """Telemetry packets out: sequence counts, message type counters, time stamps, the queue in front of the
-line.
+wire.
 """
 
 from __future__ import annotations
@@ -8,9 +8,8 @@ from collections import defaultdict
 from typing import Any
 
 from ..clock import VirtualClock
-from ..line import SerialLine
-from ..protocol.framing import slip_encode
 from ..protocol.registry import REGISTRY, encode_telemetry
+from ..wire.port import UnitPort
 from .onboard_time import OnboardTime
 
 # ASSUMED: half of a 64 KiB telemetry buffer; a quarter more is kept for verification and events, so that they
@@ -28,10 +27,10 @@ class Transmitter:
     """
 
     def __init__(
-        self, clock: VirtualClock, line: SerialLine, time: OnboardTime, apid: int, destination_id: int
+        self, clock: VirtualClock, port: UnitPort, time: OnboardTime, apid: int, destination_id: int
     ) -> None:
         self._clock = clock
-        self.line = line
+        self.port = port
         self._time = time
         self._apid = apid
         self._destination_id = destination_id
@@ -42,8 +41,8 @@ class Transmitter:
         self.lost_packets = 0
 
     def reset(self) -> None:
-        """Sequence and message counts start anew; what waits for the line is lost."""
-        self.line.flush()
+        """Sequence and message counts start anew; what waits in the port is lost."""
+        self.port.restart()
         self._sequence_count = 0
         self._message_counts.clear()
         self.lost_packets = 0
@@ -54,7 +53,7 @@ class Transmitter:
     @property
     def has_room(self) -> bool:
         """Whether half of the queue is free: time to tell what was lost, without losing that as well."""
-        return self.line.queued_bytes <= QUEUE_LIMIT_BYTES // 2
+        return self.port.queued_bytes <= QUEUE_LIMIT_BYTES // 2
 
     def take_lost(self) -> int:
         """How many packets were lost since the last call."""
@@ -82,12 +81,11 @@ class Transmitter:
         # Both counters go on for a lost packet, so that the receiver sees the gap.
         self._sequence_count = (self._sequence_count + 1) & 0x3FFF
         self._message_counts[kind] = (self._message_counts[kind] + 1) & 0xFFFF
-        frame = slip_encode(packet)
         limit = QUEUE_LIMIT_BYTES + (RESERVED_BYTES if definition.service in RESERVED_SERVICES else 0)
-        if self.line.queued_bytes + len(frame) > limit:
+        queued_bytes = self.port.queue(packet, limit)
+        if not queued_bytes:
             self.lost_packets += 1
             return False
         self.packets += 1
-        self.bytes += len(frame)
-        self.line.send(frame)
+        self.bytes += queued_bytes
         return True
