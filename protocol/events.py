@@ -15,6 +15,7 @@ from .enumerations import (
     ResetCause,
     SelfTest,
     StoreInvalidCause,
+    TransferFailure,
 )
 from .field_types import CUC, UINT8, UINT16, UINT32
 from .fields import Field
@@ -183,6 +184,42 @@ EVENT_TABLE: tuple[EventDefinition, ...] = (
         _LOW,
         "the transmit queue was full and packets were thrown away; sent when half of the queue is free again",
         (Field("packets", UINT16, meaning="packets thrown away"),),
+    ),
+    EventDefinition(
+        EventId.CAN_ERROR_PASSIVE_ENTERED,
+        _LOW,
+        "an error counter of the CAN controller went above 127",
+        (
+            Field("transmit_errors", UINT16, meaning="transmit error counter"),
+            Field("receive_errors", UINT16, meaning="receive error counter"),
+        ),
+    ),
+    EventDefinition(
+        EventId.CAN_BUS_OFF_RECOVERED,
+        _MEDIUM,
+        "the CAN controller takes part in the bus again after it was bus-off",
+        (
+            Field("duration_ms", UINT32, "ms", meaning="time from bus-off to now"),
+            Field("count", UINT16, meaning="counter bus_off_count"),
+        ),
+    ),
+    EventDefinition(
+        EventId.CAN_TRANSFER_FAILED,
+        _LOW,
+        "a telecommand was given up on its way, or a frame was ignored; at most one event a second",
+        (
+            Field("reason", UINT8, meaning="why, the last time", choices=TransferFailure),
+            Field("count", UINT16, meaning="how often since the last such event"),
+        ),
+    ),
+    EventDefinition(
+        EventId.CAN_PACKETS_LOST,
+        _LOW,
+        "telemetry packets were lost because nobody took them; sent when the receiver takes packets again",
+        (
+            Field("reason", UINT8, meaning="why the first of them was given up", choices=TransferFailure),
+            Field("packets", UINT16, meaning="packets lost"),
+        ),
     ),
 )
 

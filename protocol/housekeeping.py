@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .enumerations import HousekeepingId, Mode, Reason, ResetCause, SelfTest, TimeStatus
+from .enumerations import CanState, HousekeepingId, Mode, Reason, ResetCause, SelfTest, TimeStatus
 from .field_types import INT16, INT32, UINT8, UINT16, UINT32
 from .fields import Field
 
@@ -92,6 +92,55 @@ HOUSEKEEPING_TABLE: tuple[HousekeepingDefinition, ...] = (
             Field("margin_us", INT32, "us", meaning="time left at the end of processing; negative when late"),
             Field("worst_cycles", UINT32, "cycle", meaning="largest total since start or CLEAR_COUNTERS"),
             Field("clock_hz", UINT32, "Hz", meaning="clock of the processor"),
+        ),
+    ),
+    HousekeepingDefinition(
+        HousekeepingId.CAN,
+        "CAN controller, bus load and transfers by ISO-TP; all 0 but can_state on the serial line",
+        (
+            Field("bitrate", UINT32, "bit/s", meaning="bit rate of the bus (of the arbitration)"),
+            Field("bus_load", UINT16, "0.1 %", 0, 1000, "time in which the bus was busy, of the last second"),
+            Field("can_state", UINT8, meaning="state of the controller", choices=CanState),
+            Field("transmit_error_count", UINT16, meaning="transmit error counter of the controller"),
+            Field("receive_error_count", UINT16, meaning="receive error counter of the controller"),
+            Field("tx_frames", UINT32, meaning="frames sent; the counters here run as those of LINK"),
+            Field("rx_frames", UINT32, meaning="frames received, of any identifier"),
+            Field("error_frames", UINT16, meaning="error frames seen, own or of others"),
+            Field("bus_off_count", UINT16, meaning="times that the controller went bus-off"),
+            Field(
+                "arbitration_lost", UINT32, meaning="times that a frame had to wait for a lower identifier"
+            ),
+            Field("tx_refused", UINT16, meaning="times that the link's own transmit queue was full"),
+            Field(
+                "cyclic_overruns",
+                UINT16,
+                meaning="cyclic frames thrown away because a newer one took their place",
+            ),
+            Field("pdus_sent", UINT32, meaning="telemetry packets sent whole"),
+            Field("pdus_received", UINT32, meaning="telecommand packets received whole"),
+            Field(
+                "transmissions_failed", UINT16, meaning="telemetry packets that were given up on their way"
+            ),
+            Field("receptions_failed", UINT16, meaning="telecommand packets that were given up on their way"),
+            Field(
+                "frames_ignored", UINT16, meaning="frames on the telecommand identifier that made no sense"
+            ),
+            Field("timeouts_a", UINT16, meaning="of all these, TIMEOUT_A"),
+            Field("timeouts_bs", UINT16, meaning="TIMEOUT_BS"),
+            Field("timeouts_cr", UINT16, meaning="TIMEOUT_CR"),
+            Field("wrong_sequence", UINT16, meaning="WRONG_SEQUENCE"),
+            Field("unexpected_pdus", UINT16, meaning="UNEXPECTED_PDU"),
+            Field(
+                "flow_control_errors",
+                UINT16,
+                meaning="INVALID_FLOW_STATUS, WAIT_LIMIT and RECEIVER_OVERFLOW",
+            ),
+            Field("too_long", UINT16, meaning="TOO_LONG"),
+            Field("bad_length", UINT16, meaning="BAD_LENGTH and BAD_PCI"),
+            Field("syncs", UINT16, meaning="SYNC frames received"),
+            Field(
+                "syncs_ignored", UINT16, meaning="time_at_sync frames without their SYNC, or of wrong length"
+            ),
         ),
     ),
 )

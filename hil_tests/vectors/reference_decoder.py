@@ -166,6 +166,11 @@ STRUCTURES = {
     3: "frame_index:I cycles_total:I cycles_budget:I cycles_threshold:I cycles_clustering:I "
     "cycles_centroid:I cycles_identification:I cycles_tracking:I cycles_attitude:I "
     "cycles_telemetry:I margin_us:i worst_cycles:I clock_hz:I",
+    4: "bitrate:I bus_load:H can_state:B transmit_error_count:H receive_error_count:H tx_frames:I "
+    "rx_frames:I error_frames:H bus_off_count:H arbitration_lost:I tx_refused:H cyclic_overruns:H "
+    "pdus_sent:I pdus_received:I transmissions_failed:H receptions_failed:H frames_ignored:H timeouts_a:H "
+    "timeouts_bs:H timeouts_cr:H wrong_sequence:H unexpected_pdus:H flow_control_errors:H too_long:H "
+    "bad_length:H syncs:H syncs_ignored:H",
 }
 
 EVENTS = {  # number: (subservice of service 5, layout)
@@ -188,6 +193,10 @@ EVENTS = {  # number: (subservice of service 5, layout)
     17: (1, "count:H"),
     18: (1, ""),
     19: (2, "packets:H"),
+    20: (2, "transmit_errors:H receive_errors:H"),
+    21: (3, "duration_ms:I count:H"),
+    22: (2, "reason:B count:H"),
+    23: (2, "reason:B packets:H"),
 }
 
 PARAMETERS = dict(enumerate("IfBBffBffBBHBfffBBBIH", start=1))

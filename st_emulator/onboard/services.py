@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..clock import NS_PER_MS, NS_PER_S, ScheduledEvent
 from ..firmware_model.modes import Mode, ModeEvent, next_mode
 from ..protocol.enumerations import (
+    CanState,
     EventId,
     FailureCode,
     FunctionId,
@@ -20,6 +21,7 @@ from ..protocol.enumerations import (
     ResetCause,
     ResetKind,
 )
+from ..protocol.housekeeping import HOUSEKEEPING
 from ..protocol.packets import CucTime, Telecommand, crc16_ccitt
 from .counters import saturated
 from .imaging import microseconds
@@ -194,6 +196,7 @@ class Services:
             HousekeepingId.STATUS: self._status,
             HousekeepingId.LINK: self._link,
             HousekeepingId.TIMING: self._timing,
+            HousekeepingId.CAN: self._can,
         }[HousekeepingId(structure_id)]()
         return {"structure_id": structure_id, "values": values}
 
@@ -261,6 +264,11 @@ class Services:
             "worst_cycles": saturated(unit.frame_counters.worst_cycles, 32),
             "clock_hz": clock_hz,
         }
+
+    def _can(self) -> dict[str, int]:
+        """As on the serial line: no bus, nothing counted."""
+        fields = HOUSEKEEPING[int(HousekeepingId.CAN)].fields
+        return dict.fromkeys((field.name for field in fields), 0) | {"can_state": int(CanState.NOT_USED)}
 
     # -- events
     # ----------------------------------------------------------------------------------------------------
