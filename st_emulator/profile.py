@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from .can_profile import CanSection
 from .errors import ConfigurationError
 from .validation import Section, parse_toml, read_text, validate
 
@@ -176,6 +177,7 @@ class UnitProfile(Section):
     identification: Identification
     tracking: Tracking
     wire: Wire
+    can: CanSection = CanSection()
     requirements: Requirements = Requirements()
 
     @property

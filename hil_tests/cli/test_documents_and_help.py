@@ -134,7 +134,7 @@ def test_nothing_at_all_shows_the_help(command):
 
 # -- unit files and what is written about them
 
-SECTION = re.compile(r"^\[[a-z_]+\]$")
+SECTION = re.compile(r"^\[[a-z_.]+\]$")
 LINE = re.compile(r'^[a-z0-9_]+ = (?P<value>"[^"]*"|[^#"]+?)  # (?P<comment>\S.*)$')
 ASSUMED = re.compile(r"^ASSUMED: \w.{4,}")  # with its reason
 SOURCE = re.compile(r"^([A-Z])\b")  # a letter that the head of the file explains
