@@ -69,8 +69,19 @@ def run(
         typer.Option(
             "--link",
             metavar="LINK",
-            help="`pty`, `pty:PATH`, `serial:DEV`, `serial:DEV@BAUD` or `none`. Default: pty at speed "
-            "1, else none.",
+            help="`pty`, `pty:PATH`, `serial:DEV`, `serial:DEV@BAUD`, "
+            "`can:socketcan/vcan0`, `can:slcan/DEV`, each with `@BITRATE` and `,fd` if wanted, or `none`. "
+            "Default: pty at speed 1, else none.",
+        ),
+    ] = None,
+    node: Annotated[
+        int | None,
+        typer.Option(
+            "--node",
+            metavar="N",
+            min=1,
+            max=127,
+            help="Node number on a CAN bus, so that several units share one. Default: the unit file's.",
         ),
     ] = None,
     scenario: Annotated[
@@ -142,6 +153,7 @@ def run(
         RunOptions(
             unit=unit,
             link=link,
+            node=node,
             scenario=scenario,
             speed=speed,
             seed=seed,
@@ -167,11 +179,21 @@ def demo(
         Path, typer.Option("--out", metavar="DIR", help="Where journal, truth, telemetry and picture go.")
     ] = Path("demo-out"),
     seed: Seed = None,
+    link: Annotated[
+        str,
+        typer.Option(
+            "--link",
+            metavar="LINK",
+            help="`pty`, or a CAN bus: `can:socketcan/vcan0` (./tools/vcan makes one for a command).",
+        ),
+    ] = "pty",
 ) -> None:
-    """Show the main job: a unit and an OBC as two processes over a pseudo-terminal, in real time."""
+    """Show the main job: a unit and an OBC as two processes over a pseudo-terminal or a CAN bus, in real
+    time.
+    """
     from .demo import run_demo
 
-    raise typer.Exit(run_demo(unit, seconds, json_path, out, seed, console_for(json_path)))
+    raise typer.Exit(run_demo(unit, seconds, json_path, out, seed, console_for(json_path), link))
 
 
 @app.command()

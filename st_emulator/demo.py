@@ -1,5 +1,5 @@
-"""``st-emulator demo``: a unit and an OBC as two processes over a pseudo-terminal, in real time, start
-to shutdown.
+"""``st-emulator demo``: a unit and an OBC as two processes over a pseudo-terminal or a CAN bus, in real time,
+start to shutdown.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from .errors import ConfigurationError
 from .journal import Journal, read_journal
-from .links import LinkError
+from .links import LinkError, parse_link
 from .listening import TelemetryListener
-from .obc import Attitude, Obc, ObcError
+from .obc import Attitude, Obc, ObcError, TelemetryTimeout
 from .profile import UnitProfile, load_unit
 from .protocol.enumerations import EventId, Mode
 from .report import Check, all_hold, check, require_json_path, show_checks, show_figures, write_json
+from .validation import validate
 from .world import quaternion
 from .world.time_scales import tai_ns_from_utc
 
@@ -90,13 +91,36 @@ class Session:
     problem: str = ""
 
 
+def demo_link(text: str, out: Path) -> tuple[str, Path | None]:
+    """The link that both sides use, and the path by which a pseudo-terminal is found.
+
+    Raises:
+        ConfigurationError: a link that cannot join two processes of this computer.
+    """
+    specification = parse_link(text)
+    if specification.kind == "can" and specification.interface != "virtual":
+        return text, None
+    if text == "pty":
+        return f"pty:{out / 'tracker'}", out / "tracker"
+    raise ConfigurationError(
+        f"--link {text}: unit and OBC are two processes; allowed are pty and can:socketcan/CHANNEL"
+    )
+
+
 def run_demo(
-    unit: str, seconds: float, json_path: str | None, out: Path, seed: int | None, console: Console
+    unit: str,
+    seconds: float,
+    json_path: str | None,
+    out: Path,
+    seed: int | None,
+    console: Console,
+    link_text: str = "pty",
 ) -> int:
     """Run the demo; exit status 0 when every check holds, else 1."""
     require_json_path(json_path)
     profile = load_unit(unit)
-    scenario_path, link = out / "scenario.toml", out / "tracker"
+    link, path = demo_link(link_text, out)
+    scenario_path = out / "scenario.toml"
     try:
         out.mkdir(parents=True, exist_ok=True)
         _clear(out)
@@ -108,14 +132,14 @@ def run_demo(
     console.print(f"[bold]st-emulator demo[/]: {escape(profile.unit.title)}, {seconds:g} s in real time")
     command = [
         *(sys.executable, "-m", "st_emulator", "run", unit, "--quiet"),
-        *("--link", f"pty:{link}", "--scenario", str(scenario_path)),
+        *("--link", link, "--scenario", str(scenario_path)),
         *("--journal", str(out / "journal.jsonl"), "--truth", str(out / "truth.jsonl"), "--store", "none"),
     ]
-    before = _identity(link)
+    before = None if path is None else _identity(path)
     with _ended_by_sigterm():
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
-            session = _operate(process, link, before, profile, seconds, out, console)
+            session = _operate(process, link, path, before, unit, profile, seconds, out, console)
         finally:
             said = _end(process)
     if process.returncode != 0:
@@ -189,8 +213,10 @@ def _end(process: subprocess.Popen[str]) -> str:
 
 def _operate(
     process: subprocess.Popen[str],
-    link: Path,
+    link: str,
+    path: Path | None,
     before: tuple[int, int] | None,
+    unit: str,
     profile: UnitProfile,
     seconds: float,
     out: Path,
@@ -206,9 +232,10 @@ def _operate(
         transient=True,
     ) as progress:
         task = progress.add_task("demo", total=seconds, doing="emulator starts")
-        _await_link(process, link, before)
+        if path is not None:
+            _await_link(process, path, before)
         try:
-            obc = Obc.connect(f"pty:{link}", apid=profile.apid, record=out / "telemetry")
+            obc = Obc.connect(link, unit=unit, apid=profile.apid, record=out / "telemetry")
         except LinkError as error:
             session.problem = f"the OBC could not connect: {error}"
             return session
@@ -230,7 +257,7 @@ def _operate(
 
             try:
                 do("boot")
-                power_on_ns = _await_boot(obc)
+                power_on_ns = _await_boot(process, obc)
                 command("self-test", obc.self_test)
                 command("ping", obc.ping)
                 start_ns = tai_ns_from_utc(START_UTC)
@@ -281,13 +308,20 @@ def _await_link(process: subprocess.Popen[str], link: Path, before: tuple[int, i
         time.sleep(0.02)
 
 
-def _await_boot(obc: Obc) -> int:
+def _await_boot(process: subprocess.Popen[str], obc: Obc) -> int:
     """Wait for the first sign of life and give the OBC's time of the unit's power-on.
 
     A late listener may have missed the boot event; housekeeping comes each second. Until its time is set the
     unit counts from power-on.
     """
-    obc.wait_for("hk_report", lambda telemetry: True, timeout_s=START_TIMEOUT_S)
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while True:
+        try:
+            obc.wait_for("hk_report", timeout_s=0.5, since=0)
+            break
+        except TelemetryTimeout:
+            if process.poll() is not None or time.monotonic() > deadline:
+                raise
     last = obc.telemetry_since()[-1]
     return last.time_ns - last.telemetry.time.to_ns()
 
@@ -409,7 +443,11 @@ def _draw(profile: UnitProfile, series: Series, out: Path, picture: Path) -> Non
 
 def mode_changes(journal: Journal) -> list[tuple[float, Mode]]:
     """(time since power-on in s, mode from then on), from the events that a journal's unit sent."""
+    wiring = journal.header.get("can")
+    profile = validate(UnitProfile, journal.header["unit"], "journal")
     listener = TelemetryListener()
+    if wiring is not None:
+        listener = TelemetryListener(can=profile.can.identifier_table(wiring["node"]), fd=wiring["fd"])
     for entry in journal.entries:
         if entry.direction == "tx":
             listener.transmitted(entry.data, entry.t_ns)

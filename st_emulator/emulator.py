@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,12 @@ from .onboard.imaging import FrameRecord, FrameSource, Lazy, Submit
 from .onboard.parameter_store import Store, StoreContents, VolatileStore
 from .profile import UnitProfile
 from .scenario import Scenario
-from .scenario_inputs import parameters_of, telecommands_of
+from .scenario_inputs import packets_of, parameters_of, telecommands_of
 from .unit import StarTracker
+from .wire.can_bus import Disturbance
+from .wire.can_port import CanPort
+from .wire.can_wiring import CanWiring
+from .wire.port import UnitPort
 from .wire.slip_port import SlipPort
 from .world.recorded import RecordedFrames
 from .world.scene import RenderedFrame, SceneRenderer
@@ -54,13 +59,16 @@ class Emulator:
         frames: recorded frames instead of the rendered sky.
         hold: so many exposures show the same recorded frame before the next takes its place.
         store: the unit's non-volatile memory; factory values when None.
-        transmit: called with (bytes, virtual time) as they leave the unit.
+        transmit: called with (bytes, virtual time) as they leave the unit: octets of the serial line, or the
+            record of a CAN frame; returns how many the link took (None: all).
         journal, truth: open text files, or None.
         submit: how frames are computed (see :mod:`st_emulator.onboard.imaging`).
         on_completed: called with each processed frame, its pixels and intermediates (pictures are made of
         it).
         baud: line rate; the unit's own when None.
         pace_reception: False when the link's bytes already took their time on a wire.
+        can: the unit is on a CAN bus, wired like this; None: on its serial line.
+        disturbance: the seam where faults of the CAN bus enter.
     """
 
     def __init__(
@@ -72,18 +80,23 @@ class Emulator:
         frames: RecordedFrames | None = None,
         hold: int = 1,
         store: Store | None = None,
-        transmit: Callable[[bytes, int], None] = lambda data, t_ns: None,
+        transmit: Callable[[bytes, int], int | None] = lambda data, t_ns: None,
         journal: TextSink | None = None,
         truth: TextSink | None = None,
         submit: Submit = Lazy,
         pace_reception: bool = True,
         baud: int | None = None,
+        can: CanWiring | None = None,
+        disturbance: Disturbance | None = None,
         on_completed: Callable[[FrameRecord], None] = lambda record: None,
     ) -> None:
         self.profile = profile
         self.scenario = scenario or Scenario()
         self.seed = self.scenario.seed if seed is None else seed
         self.baud = baud or profile.wire.baud
+        self.can = can
+        self._pace_reception = pace_reception
+        self._disturbance = disturbance
         self.clock = VirtualClock()
         self._external_transmit = transmit
         self._hold = hold
@@ -99,9 +112,7 @@ class Emulator:
         self.unit = StarTracker(
             profile,
             self.clock,
-            lambda unit: SlipPort(
-                self.clock, self.baud, self._transmitted, unit, pace_reception=pace_reception
-            ),
+            self._port,
             source,
             star_tables(profile),
             self._store,
@@ -112,7 +123,7 @@ class Emulator:
         self._truth = truth
         self._journal: JournalWriter | None = None
         if journal is not None:
-            self._journal = JournalWriter(journal, self._header(frames, pace_reception))
+            self._journal = JournalWriter(journal, self._header(frames))
         self._telecommands = deque(telecommands_of(self.scenario, profile.apid))
         self.unit.power_on()
 
@@ -137,7 +148,11 @@ class Emulator:
         while self._telecommands and self._telecommands[0][0] <= until_ns:
             at_ns, data = self._telecommands.popleft()
             self.clock.advance(at_ns)
-            self.receive(data)
+            if self.can is None:
+                self.receive(data)
+            else:
+                for packet in packets_of(data):
+                    self.receive_packet(packet)
         self.clock.advance(until_ns)
 
     def receive(self, data: bytes) -> None:
@@ -146,6 +161,15 @@ class Emulator:
             if self._journal is not None:
                 self._journal.write(self.clock.now_ns, "rx", data)
             self.unit.port.arrive(data)
+
+    def receive_packet(self, packet: bytes) -> None:
+        """A telecommand of the scenario on a CAN bus: it enters behind the transport, for there is no OBC on
+        the bus that could answer the unit's flow control.
+        """
+        if self._journal is not None:
+            self._journal.write(self.clock.now_ns, "packet", packet)
+        if self.unit.listening:
+            self.unit.packet_received(packet)
 
     def flush(self) -> None:
         """Write out what the journal and the truth file hold back."""
@@ -163,10 +187,21 @@ class Emulator:
     # -- inside
     # ----------------------------------------------------------------------------------------------------
 
-    def _transmitted(self, data: bytes) -> None:
+    def _port(self, unit: StarTracker) -> UnitPort:
+        if self.can is None:
+            return SlipPort(
+                self.clock, self.baud, self._transmitted, unit, pace_reception=self._pace_reception
+            )
+        settings = self.can.port_settings(self.profile.can)
+        return CanPort(self.clock, settings, self._transmitted, unit, self._disturbance)
+
+    def _transmitted(self, data: bytes) -> bool:
+        """Whether the link took it; what a CAN link does not take now is offered again."""
+        taken = self._external_transmit(data, self.clock.now_ns)
+        refused = self.can is not None and taken is not None and taken < len(data)
         if self._journal is not None:
-            self._journal.write(self.clock.now_ns, "tx", data)
-        self._external_transmit(data, self.clock.now_ns)
+            self._journal.write(self.clock.now_ns, "refused" if refused else "tx", data)
+        return not refused
 
     def _frame_exposed(self, record: FrameRecord) -> None:
         if self._truth is None:
@@ -190,14 +225,15 @@ class Emulator:
         contents.parameters.update(parameters_of(self.scenario))
         self._store.save(StoreContents(contents.parameters, contents.boot_count))
 
-    def _header(self, frames: RecordedFrames | None, pace_reception: bool) -> dict[str, Any]:
+    def _header(self, frames: RecordedFrames | None) -> dict[str, Any]:
         contents, fault = self._store.load()
         return {
             "unit": self.profile.model_dump(mode="json"),
             "scenario": self.scenario.model_dump(mode="json", by_alias=True),
             "seed": self.seed,
             "baud": self.baud,
-            "pace_reception": pace_reception,
+            "pace_reception": self._pace_reception,
+            "can": None if self.can is None else asdict(self.can),
             "frames": None if frames is None else [str(Path(name).absolute()) for name in frames.names],
             "hold": self._hold,
             "store": {

@@ -4,7 +4,9 @@ First line: what was run (format, unit file, scenario, seed, stored parameters),
 replayed alone.
 Then one line a group of bytes: ``{"t_ns": 1234, "rx": "c0..."}`` when the OBC's bytes were put on the
 line, ``"tx"``
-when the unit's last bit of the group has left. It holds virtual times only: the same run gives the same
+when the unit's last bit of the group has left. On a CAN bus a group is the record of a frame (see
+``protocol.can_frames``); ``"refused"`` is one that the link did not take, ``"packet"`` a telecommand of the
+scenario. It holds virtual times only: the same run gives the same
 file at any speed.
 """
 
@@ -19,6 +21,7 @@ from typing import Any, Protocol
 from .errors import ConfigurationError
 
 FORMAT = "st-emulator journal 1"
+DIRECTIONS = ("rx", "tx", "packet", "refused")
 
 
 class TextSink(Protocol):
@@ -31,7 +34,9 @@ class TextSink(Protocol):
 
 @dataclass(frozen=True)
 class JournalEntry:
-    """Bytes of one direction: ``direction`` is "rx" (to the unit) or "tx" (from the unit)."""
+    """Bytes of one direction: ``direction`` is "rx" (to the unit) or "tx" (from the unit); on a CAN bus also
+    "packet" (a telecommand of the scenario, to the unit) and "refused" (from the unit, not taken by the link).
+    """
 
     t_ns: int
     direction: str
@@ -102,7 +107,7 @@ def read_journal(path: str | Path) -> Journal:
             if "end" in item:
                 ended = True
                 continue
-            direction = "rx" if "rx" in item else "tx"
+            direction = next((name for name in DIRECTIONS if name in item), "rx")
             entries.append(JournalEntry(int(item["t_ns"]), direction, bytes.fromhex(item[direction])))
         except (KeyError, ValueError, TypeError) as error:
             raise ConfigurationError(

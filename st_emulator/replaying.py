@@ -23,6 +23,7 @@ from .protocol.enumerations import StoreInvalidCause
 from .report import check, require_json_path, show_checks, show_figures, write_json
 from .scenario import Scenario
 from .validation import validate
+from .wire.can_wiring import CanWiring
 from .world.recorded import RecordedFrameError, RecordedFrames
 
 
@@ -70,6 +71,7 @@ def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
             store=store,
             pace_reception=bool(header["pace_reception"]),
             baud=int(header["baud"]),
+            can=None if header.get("can") is None else CanWiring(**header["can"]),
             **arguments,
         )
     except RecordedFrameError:
@@ -84,10 +86,19 @@ def feed(emulator: Emulator, journal: Journal, until_ns: int | None = None) -> N
     """Give the received bytes at their times, and run to the journal's end (or ``until_ns``)."""
     end_ns = journal.end_ns if until_ns is None else until_ns
     for entry in journal.entries:
-        if entry.direction == "rx" and entry.t_ns <= end_ns:
-            emulator.advance(entry.t_ns)
+        if entry.direction not in ("rx", "packet") or entry.t_ns > end_ns:
+            continue
+        emulator.advance(entry.t_ns)
+        if entry.direction == "rx":
             emulator.receive(entry.data)
+        else:
+            emulator.receive_packet(entry.data)
     emulator.advance(end_ns)
+
+
+def refusals_of(journal: Journal) -> set[tuple[int, bytes]]:
+    """The CAN frames that the link did not take, with their times: they are inputs of the run, too."""
+    return {(entry.t_ns, entry.data) for entry in journal.entries if entry.direction == "refused"}
 
 
 def first_difference(recorded: list[JournalEntry], replayed: list[JournalEntry]) -> str | None:
@@ -107,12 +118,15 @@ def replay_journal(path: Path, json_path: str | None, write: Path | None, consol
     replayed: list[JournalEntry] = []
     with contextlib.ExitStack() as stack:
         text = io.StringIO() if write is None else stack.enter_context(OutputFile(write, "--write"))
-        emulator = emulator_of(
-            journal,
-            str(path),
-            transmit=lambda data, t_ns: replayed.append(JournalEntry(t_ns, "tx", data)),
-            journal=text,
-        )
+        refusals = refusals_of(journal)
+
+        def transmit(data: bytes, t_ns: int) -> int:
+            if (t_ns, data) in refusals:
+                return 0
+            replayed.append(JournalEntry(t_ns, "tx", data))
+            return len(data)
+
+        emulator = emulator_of(journal, str(path), transmit=transmit, journal=text)
         feed(emulator, journal)
         emulator.close()
     recorded = [entry for entry in journal.entries if entry.direction == "tx"]
@@ -140,7 +154,13 @@ def replay_journal(path: Path, json_path: str | None, write: Path | None, consol
 def frame_of(journal: Journal, where: str, frame_index: int) -> FrameRecord | None:
     """One processed frame of a journal, with its pixels and intermediates, by replaying up to it."""
     found: list[FrameRecord] = []
-    emulator = emulator_of(journal, where, on_completed=found.append)
+    refusals = refusals_of(journal)
+    emulator = emulator_of(
+        journal,
+        where,
+        on_completed=found.append,
+        transmit=lambda data, t_ns: 0 if (t_ns, data) in refusals else None,
+    )
     period_ns = emulator.profile.frame_period_ns
     feed(emulator, journal, min(journal.end_ns, (frame_index + 2) * period_ns))
     return next((record for record in found if record.index == frame_index), None)

@@ -18,7 +18,7 @@ from .clock import NS_PER_S
 from .emulator import Emulator
 from .errors import ConfigurationError
 from .firmware_model.modes import Mode
-from .links import Link, open_link, parse_link
+from .links import Link, LinkSpecification, open_link, parse_link
 from .onboard.imaging import Lazy
 from .onboard.parameter_store import FileStore, Store, VolatileStore
 from .output_file import OutputFile
@@ -27,6 +27,8 @@ from .realtime import FrameWorker, StopSignal, run_paced, run_unpaced
 from .scenario import Scenario, load_scenario
 from .scenario_inputs import check_inputs
 from .warm_up import compile_apart, warm_up
+from .wire.can_port import CanPort
+from .wire.can_wiring import CanWiring
 from .world.recorded import RecordedFrames
 
 
@@ -36,6 +38,7 @@ class RunOptions:
 
     unit: str
     link: str | None = None
+    node: int | None = None
     scenario: Path | None = None
     speed: str = "1"
     seed: int | None = None
@@ -158,6 +161,8 @@ def run_unit(options: RunOptions) -> None:
             f"--speed {options.speed} with --link {link_text}: a live OBC keeps its own time, so only "
             "--speed 1 is allowed; use --link none (telecommands from the scenario) for other speeds"
         )
+    if options.node is not None and specification.kind != "can":
+        raise ConfigurationError(f"--node {options.node}: only with --link can:...; {link_text} has no nodes")
     profile = load_unit(options.unit)
     scenario = scenario_of(options, live)
     check_inputs(profile, scenario)
@@ -176,7 +181,7 @@ def run_unit(options: RunOptions) -> None:
         stack.callback(stop.close)
         stack.enter_context(stop.installed())
         store, store_text = open_store(stack, options, profile, live)
-        link = stack.enter_context(open_link(specification, "unit", profile.wire.baud, profile.name))
+        link = stack.enter_context(open_link(specification, "unit", profile.wire.baud, profile.name, profile.can.bitrate))
         journal = open_output(stack, options.journal, "--journal")
         truth = open_output(stack, options.truth, "--truth")
         try:
@@ -198,12 +203,13 @@ def run_unit(options: RunOptions) -> None:
             frames=frames,
             hold=options.hold,
             store=store,
-            transmit=lambda data, t_ns: (link.write(data), None)[1],
+            transmit=lambda data, t_ns: link.write(data),
             journal=journal,
             truth=truth,
             submit=worker.submit if worker is not None else Lazy,
             pace_reception=specification.kind != "serial",
             baud=specification.baud,
+            can=wiring_of(specification, link, options.node),
         )
         _announce(console, emulator, link, options, store_text, duration_s)
         until_ns = None if duration_s is None else round(duration_s * NS_PER_S)
@@ -230,6 +236,23 @@ def run_unit(options: RunOptions) -> None:
         )
 
 
+def wiring_of(specification: LinkSpecification, link: Link, node: int | None) -> CanWiring | None:
+    """How the unit is on a CAN bus; None on any other link."""
+    if specification.kind != "can":
+        return None
+    hardware = bool(getattr(link, "hardware", False))
+    return CanWiring(specification.bitrate, specification.fd, node, hardware)
+
+
+def _wire_text(emulator: Emulator) -> str:
+    port = emulator.unit.port
+    if not isinstance(port, CanPort):
+        return f"{emulator.baud} baud"
+    settings = port.settings
+    fd = f" (CAN FD, data {settings.bus.data_bitrate} bit/s)" if settings.fd else ""
+    return f"{settings.bus.bitrate} bit/s{fd}, node {settings.identifiers.node}"
+
+
 def _announce(
     console: Console,
     emulator: Emulator,
@@ -243,7 +266,7 @@ def _announce(
     rate_hz = 1000 / profile.timing.frame_period_ms
     console.print(f"[bold]{escape(profile.unit.title)}[/]")
     console.print(
-        f"link {escape(link.name)}, {emulator.baud} baud, APID {profile.apid}, frames at {rate_hz:g} Hz, "
+        f"link {escape(link.name)}, {_wire_text(emulator)}, APID {profile.apid}, frames at {rate_hz:g} Hz, "
         f"seed {emulator.seed}"
     )
     console.print(f"world: from {emulator.scenario.start_utc:%Y-%m-%dT%H:%M:%SZ}")

@@ -1,4 +1,4 @@
-"""What a scenario puts into a unit: bytes on its line at times, parameters in its memory."""
+"""What a scenario puts into a unit: telecommands at times, parameters in its memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .naming import resolve_fields
 from .onboard.parameters import BY_NAME
 from .profile import UnitProfile
 from .protocol.errors import LocalProtocolError
-from .protocol.framing import slip_encode
+from .protocol.framing import END, FrameReceived, SlipDecoder, slip_encode
 from .protocol.registry import encode_telecommand
 from .scenario import Scenario, ScenarioTelecommand
 from .world.time_scales import tai_ns_from_utc
@@ -52,6 +52,13 @@ def _bytes_of(
     except LocalProtocolError as error:
         raise ConfigurationError(f"{scenario.where}: telecommands.{number}: {error}") from error
     return slip_encode(packet)
+
+
+def packets_of(line: bytes) -> list[bytes]:
+    """The packets in bytes of the serial line, for a wire without them. What is no frame there is none here."""
+    decoder = SlipDecoder(len(line) + 1)
+    events = decoder.receive(line + bytes([END]), 0)
+    return [event.data for event in events if isinstance(event, FrameReceived)]
 
 
 def parameters_of(scenario: Scenario) -> dict[str, float | int]:

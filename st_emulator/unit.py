@@ -7,7 +7,6 @@ transmitter (telemetry), imaging (frames in time), the parameters and the servic
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -20,6 +19,7 @@ from .firmware_model.firmware import FirmwareState
 from .firmware_model.modes import Mode, ModeEvent, next_mode
 from .firmware_model.reasons import Reason
 from .onboard.attitude_report import IDENTITY, attitude_fields
+from .onboard.can_services import CanServices
 from .onboard.counters import FrameCounters, LinkCounters, saturated
 from .onboard.image_store import ImageStore
 from .onboard.imaging import FrameRecord, FrameSettings, FrameSource, Imaging, Lazy, Submit, microseconds
@@ -28,6 +28,7 @@ from .onboard.onboard_time import OnboardTime
 from .onboard.parameter_store import Store
 from .onboard.parameters import Parameters
 from .onboard.requests import Handler, Receiver, Request
+from .onboard.self_test import SelfTestRun
 from .onboard.services import Services
 from .onboard.transmitter import Transmitter
 from .profile import UnitProfile
@@ -39,11 +40,11 @@ from .protocol.enumerations import (
     HousekeepingId,
     MalformedReason,
     ResetCause,
-    SelfTest,
     StoreInvalidCause,
 )
 from .protocol.events import EVENTS
 from .protocol.packets import Telecommand
+from .wire.can_port import CanPort
 from .wire.port import UnitPort
 
 SILENT = (Mode.BOOT, Mode.OFF)
@@ -83,7 +84,6 @@ class StarTracker:
         self.clock = clock
         self.port = make_port(self)
         self.tables = tables
-        self._tables_digest = digest_of(tables)
         self.mode = Mode.OFF
         self.time = OnboardTime()
         self.link_counters = LinkCounters()
@@ -103,11 +103,12 @@ class StarTracker:
         self.image_store = ImageStore(self)
         self.memories = Memories(self)
         self.services = Services(self)
+        self.can = CanServices(self, self.port) if isinstance(self.port, CanPort) else None
         self.disabled_events: set[int] = set()
         self.last_frame: FrameRecord | None = None
         self.last_frame_index = 0
         self.last_reasons = Reason.NOT_ACQUIRING
-        self.self_test_result = SelfTest(0)
+        self.self_test = SelfTestRun(self)
         self.reset_cause = ResetCause.POWER_ON
         self._last_quaternion = IDENTITY
         self._on_frame = on_frame
@@ -115,8 +116,6 @@ class StarTracker:
         self._powered_ns = 0
         self._blinded = False
         self._life = 0  # counts starts; an action scheduled in an earlier life is void
-        self._self_test: Request | None = None
-        self._self_test_frame = False
         self._time_request: Request | None = None
         self._acquisition_request: Request | None = None
         self._going_down = False
@@ -149,21 +148,23 @@ class StarTracker:
         self.image_store.reset()
         self.memories.reset()
         self.services.reset()
+        if self.can is not None:
+            self.can.reset()
         self.imaging.stop()
         self.imaging.cancel_capture()
         self.last_frame = None
         self.last_reasons = Reason.NOT_ACQUIRING
         self._last_quaternion = IDENTITY
         self._blinded = False
-        self._self_test = self._time_request = self._acquisition_request = None
-        self.self_test_result = SelfTest(0)
+        self._time_request = self._acquisition_request = None
+        self.self_test.reset()
         self.time.discard_pending()
         self._powered_ns = self.clock.now_ns
         self.store_fault = self.parameters.load(count_start=True)
         self.later(self.profile.timing.boot_ms * NS_PER_MS, self._boot_done)
 
     def _boot_done(self) -> None:
-        self._follow(ModeEvent.BOOT_DONE, announce=False)
+        self.follow(ModeEvent.BOOT_DONE, announce=False)
         self.raise_event(
             EventId.BOOT_COMPLETED,
             boot_count=saturated(self.parameters.boot_count, 16),
@@ -171,6 +172,8 @@ class StarTracker:
         )
         if self.store_fault is not None:
             self.raise_event(EventId.PARAMETER_STORE_INVALID, cause=int(self.store_fault))
+        if self.can is not None:
+            self.can.start()
         interval_ms = self.profile.wire.status_interval_ms
         if interval_ms:
             self.services.enable_housekeeping(HousekeepingId.STATUS, interval_ms)
@@ -197,7 +200,7 @@ class StarTracker:
         self.image_store.abort()
         self.image_store.abort_capture()
         self._give_up_acquisition(FailureCode.ABORTED)
-        self._give_up_self_test()
+        self.self_test.give_up()
         self._give_up_time(FailureCode.ABORTED)
         self.services.reset()
         self.later(0, partial(self._when_idle, last))  # behind what is sent at this instant
@@ -214,11 +217,13 @@ class StarTracker:
         self.link_counters.clear()
         self.frame_counters.clear()
         self.transmitter.clear_counters()
+        if self.can is not None:
+            self.can.clear_counters()
 
     # -- modes
     # -----------------------------------------------------------------------------------------------------
 
-    def _follow(self, event: ModeEvent, *, announce: bool = True) -> None:
+    def follow(self, event: ModeEvent, *, announce: bool = True) -> None:
         """Change the mode as the table says; an event that the table does not know in this mode changes
         nothing.
         """
@@ -234,7 +239,7 @@ class StarTracker:
     def start_acquisition(self, event: ModeEvent = ModeEvent.COMMAND_ACQUIRE) -> None:
         """Find the attitude from nothing; in TRACKING the search starts anew."""
         self.imaging.acquire()
-        self._follow(event)
+        self.follow(event)
 
     def await_attitude(self, request: Request) -> None:
         """``request`` started an acquisition and completes with the first valid attitude."""
@@ -250,13 +255,13 @@ class StarTracker:
         """Track from a given attitude, without lost in space."""
         state = FirmwareState.from_attitude(np.array(quaternion), self.clock.now_ns)
         self.imaging.acquire(state, Mode.TRACKING)
-        self._follow(ModeEvent.COMMAND_TRACK_FROM)
+        self.follow(ModeEvent.COMMAND_TRACK_FROM)
 
     def go_standby(self) -> None:
         self.imaging.stop()
         self._give_up_acquisition(FailureCode.ABORTED)
         self.last_reasons = Reason.NOT_ACQUIRING
-        self._follow(ModeEvent.COMMAND_STANDBY)
+        self.follow(ModeEvent.COMMAND_STANDBY)
 
     def enter_fault(self, cause: FaultCause) -> None:
         """Stop in FAULT; nothing happens when the unit is there already or is off."""
@@ -264,60 +269,9 @@ class StarTracker:
             return
         self.imaging.stop()
         self._give_up_acquisition(FailureCode.ABORTED)
-        self._give_up_self_test()
-        self._follow(ModeEvent.FAULT_DETECTED)
+        self.self_test.give_up()
+        self.follow(ModeEvent.FAULT_DETECTED)
         self.raise_event(EventId.FAULT_ENTERED, cause=int(cause))
-
-    # -- self-test
-    # -------------------------------------------------------------------------------------------------
-
-    def start_self_test(self, request: Request) -> None:
-        """Test memory, store, catalogue, sensor and processor; report progress; back to STANDBY, or FAULT."""
-        self.imaging.stop()
-        self.image_store.abort_capture()
-        self._self_test = request
-        self._self_test_frame = False
-        self.self_test_result = SelfTest(0)
-        self._follow(ModeEvent.COMMAND_SELF_TEST)
-        request.started()
-        self.imaging.capture()
-        step_ns = self.profile.timing.self_test_ms * NS_PER_MS // SELF_TEST_STEPS
-        for step in range(1, SELF_TEST_STEPS + 1):
-            self.later(step * step_ns, partial(self._self_test_step, request, step))
-
-    def _give_up_self_test(self) -> None:
-        if self._self_test is not None:
-            self.imaging.cancel_capture()
-            self._self_test.failed(FailureCode.ABORTED)
-            self._self_test = None
-
-    def _self_test_step(self, request: Request, step: int) -> None:
-        if self._self_test is not request:
-            return
-        failed = SelfTest(0)
-        if step == 1 and not self.memories.test_ram():
-            failed = SelfTest.MEMORY
-        elif step == 2 and self.parameters.stored_fault() is not None:
-            failed = SelfTest.PARAMETER_STORE
-        elif step == 3 and digest_of(self.tables) != self._tables_digest:
-            failed = SelfTest.CATALOGUE
-        elif step == 4 and not self._self_test_frame:
-            failed = SelfTest.SENSOR
-        self.self_test_result |= failed
-        if step < SELF_TEST_STEPS:
-            request.progressed(step)
-            return
-        self._self_test = None
-        self.imaging.cancel_capture()
-        self.raise_event(EventId.SELF_TEST_COMPLETED, result=int(self.self_test_result))
-        if self.self_test_result:
-            request.failed(FailureCode.SELF_TEST_FAILED, int(self.self_test_result))
-            self._follow(ModeEvent.SELF_TEST_FAILED)
-            self.raise_event(EventId.FAULT_ENTERED, cause=int(FaultCause.SELF_TEST_FAILED))
-        else:
-            request.progressed(step)
-            request.completed()
-            self._follow(ModeEvent.SELF_TEST_PASSED)
 
     # -- the port's client
     # -----------------------------------------------------------------------------------------------
@@ -325,6 +279,10 @@ class StarTracker:
     @property
     def listening(self) -> bool:
         return self.mode not in SILENT and not self._going_down
+
+    @property
+    def silent(self) -> bool:
+        return self.mode in SILENT
 
     def bytes_received(self, count: int) -> None:
         self.link_counters.rx_bytes += count
@@ -377,8 +335,12 @@ class StarTracker:
         """``request`` sets the time and completes when the time comes into force; an earlier one is
         superseded.
         """
-        self._give_up_time(FailureCode.SUPERSEDED)
+        self.supersede_time()
         self._time_request = request
+
+    def supersede_time(self) -> None:
+        """A setting of the time that has not come into force never will."""
+        self._give_up_time(FailureCode.SUPERSEDED)
 
     def _give_up_time(self, code: FailureCode) -> None:
         if self._time_request is not None:
@@ -396,8 +358,8 @@ class StarTracker:
         self._on_frame(record)
 
     def image_captured(self, record: FrameRecord) -> None:
-        if self._self_test is not None:
-            self._self_test_frame = True
+        if self.self_test.running:
+            self.self_test.frame_captured()
         elif self.mode not in SILENT:
             self.image_store.keep(record, self.time.cuc(record.mid_exposure_ns))
 
@@ -446,7 +408,7 @@ class StarTracker:
         elif result.event is ModeEvent.TRACKING_LOST and self.mode == Mode.TRACKING:
             self.raise_event(EventId.TRACKING_LOST, frame_index=record.index, reasons=int(result.reasons))
         if result.event is not None:
-            self._follow(result.event)
+            self.follow(result.event)
 
     def frame_dropped(self, record: FrameRecord) -> None:
         self.frame_counters.frames_dropped += 1
@@ -458,15 +420,24 @@ class StarTracker:
         self._report_attitude(record, reasons)
 
     def _report_attitude(self, record: FrameRecord, reasons: Reason) -> None:
+        if not record.settings.report and self.can is None:
+            return
+        # An invalid report repeats the last valid attitude, so that a careless reader sees no jump.
+        fields = attitude_fields(
+            record, reasons, self._last_quaternion, self.time, self.mode, self.clock.now_ns
+        )
+        if self.can is not None and self.mode not in SILENT:
+            self.can.report_attitude(fields)
         if record.settings.report:
-            # An invalid report repeats the last valid attitude, so that a careless reader sees no jump.
-            fields = attitude_fields(
-                record, reasons, self._last_quaternion, self.time, self.mode, self.clock.now_ns
-            )
             self.send("attitude_report", fields)
 
     # -- housekeeping
     # ----------------------------------------------------------------------------------------------
+
+    @property
+    def attitude_valid(self) -> bool:
+        """Whether the last frame gave a valid attitude."""
+        return not self.last_reasons
 
     @property
     def temperature_cdeg(self) -> int:
@@ -476,10 +447,3 @@ class StarTracker:
     def uptime_ms(self) -> int:
         return (self.clock.now_ns - self._powered_ns) // NS_PER_MS
 
-
-def digest_of(tables: StarTables) -> bytes:
-    """Digest of the on-board star tables, for the self-test."""
-    digest = hashlib.sha256()
-    for array in tables.arrays():
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.digest()

@@ -208,7 +208,7 @@ class Services:
             "boot_count": saturated(unit.parameters.boot_count, 16),
             "uptime_ms": unit.uptime_ms & 0xFFFFFFFF,  # a clock: it turns over after 49 days
             "time_status": int(unit.time.status),
-            "self_test_result": int(unit.self_test_result),
+            "self_test_result": int(unit.self_test.result),
             "last_frame_index": unit.last_frame_index & 0xFFFFFFFF,
             "last_reasons": int(unit.last_reasons),
             "frames_processed": saturated(counters.frames_processed, 32),
@@ -266,7 +266,9 @@ class Services:
         }
 
     def _can(self) -> dict[str, int]:
-        """As on the serial line: no bus, nothing counted."""
+        """On the serial line there is no bus, and nothing is counted."""
+        if self._unit.can is not None:
+            return self._unit.can.housekeeping()
         fields = HOUSEKEEPING[int(HousekeepingId.CAN)].fields
         return dict.fromkeys((field.name for field in fields), 0) | {"can_state": int(CanState.NOT_USED)}
 
@@ -360,7 +362,7 @@ class Services:
             case FunctionId.START_ACQUISITION:
                 return self._acquisition(unit.start_acquisition)
             case FunctionId.START_SELF_TEST:
-                return unit.start_self_test
+                return unit.self_test.start
             case FunctionId.RESET:
                 return self._reset_function(arguments["kind"])
             case FunctionId.CAPTURE_IMAGE:

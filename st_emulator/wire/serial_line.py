@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from .clock import NS_PER_S, VirtualClock
+from ..clock import NS_PER_S, VirtualClock
 
 BITS_PER_BYTE = 10  # 8N1: start, eight data, stop
 FIFO_BYTES = 16  # the FIFO of a 16550 UART
