@@ -345,6 +345,44 @@ def export_unit_schema(
     _write_document(schema_text(UnitProfile), out, check)
 
 
+@export_app.command("dbc")
+def export_dbc(
+    units: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[UNIT[:NODE]]...",
+            help="Units of the bus, each with the node number of its file or with another. Default: the "
+            "shipped units.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "--out",
+            metavar="FILE",
+            help="Default: docs/units.dbc for the shipped units, else standard output.",
+        ),
+    ] = None,
+    fd: Annotated[
+        bool, typer.Option("--fd", help="For a link with `,fd`: transport frames of up to 64 bytes.")
+    ] = False,
+    check: Stale = False,
+) -> None:
+    """The frames of units on a CAN bus as a DBC file, for any CAN tool."""
+    from .documents import can_database_text
+
+    text = can_database_text(units or (), fd=fd)
+    if out is None and not units and not fd:
+        out = Path("docs/units.dbc")
+    if out is not None:
+        _write_document(text, out, check)
+    elif check:
+        raise ConfigurationError("--check: needs --output FILE, as standard output cannot be out of date")
+    else:
+        sys.stdout.write(text)
+
+
 def _mount_obc() -> None:
     from .obc.cli import obc_app
 

@@ -181,7 +181,9 @@ def run_unit(options: RunOptions) -> None:
         stack.callback(stop.close)
         stack.enter_context(stop.installed())
         store, store_text = open_store(stack, options, profile, live)
-        link = stack.enter_context(open_link(specification, "unit", profile.wire.baud, profile.name, profile.can.bitrate))
+        link = stack.enter_context(
+            open_link(specification, "unit", profile.wire.baud, profile.name, profile.can.bitrate)
+        )
         journal = open_output(stack, options.journal, "--journal")
         truth = open_output(stack, options.truth, "--truth")
         try:

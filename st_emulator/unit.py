@@ -446,4 +446,3 @@ class StarTracker:
     @property
     def uptime_ms(self) -> int:
         return (self.clock.now_ns - self._powered_ns) // NS_PER_MS
-

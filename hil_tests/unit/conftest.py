@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
+from hil_tests.vectors.reference_can import Peer
 from st_emulator.emulator import Emulator
 from st_emulator.profile import UnitProfile, load_unit
 from st_emulator.scenario import Scenario
@@ -27,6 +28,8 @@ EVENT = {
     "TC_SEQUENCE_GAP_DETECTED": 10, "SENSOR_BLINDED": 11, "TIME_SET": 12, "FAULT_ENTERED": 13,
     "PARAMETER_STORE_INVALID": 14, "IMAGE_CAPTURED": 15, "IMAGE_DOWNLOAD_ABORTED": 16,
     "PARAMETERS_STORED": 17, "SHUTDOWN_STARTED": 18, "TX_QUEUE_OVERFLOWED": 19,
+    "CAN_ERROR_PASSIVE_ENTERED": 20, "CAN_BUS_OFF_RECOVERED": 21, "CAN_TRANSFER_FAILED": 22,
+    "CAN_PACKETS_LOST": 23,
 }  # fmt: skip
 MODE = {"BOOT": 0, "SELF_TEST": 1, "STANDBY": 2, "LOST_IN_SPACE": 3, "TRACKING": 4, "FAULT": 5, "OFF": 6}
 PARAMETER = {
@@ -96,11 +99,14 @@ class Bench:
     def now_ms(self) -> float:
         return self.emulator.now_ns / MS
 
+    def advance(self, until_ns: int) -> None:
+        self.emulator.advance(until_ns)
+
     def run(self, ms: float) -> None:
-        self.emulator.advance(self.emulator.now_ns + round(ms * MS))
+        self.advance(self.emulator.now_ns + round(ms * MS))
 
     def run_to(self, ms: float) -> None:
-        self.emulator.advance(round(ms * MS))
+        self.advance(round(ms * MS))
 
     def run_until(self, found: Callable[[], bool], limit_ms: float = 5000) -> None:
         limit = self.now_ms + limit_ms
@@ -114,6 +120,9 @@ class Bench:
     def put(self, data: bytes) -> None:
         self.emulator.receive(data)
 
+    def put_packet(self, packet: bytes) -> None:
+        self.put(wire.slip_frame(packet))
+
     def packet(
         self, name: str, fields: dict[str, Any] | None = None, *, ack: int = 15, **header: Any
     ) -> bytes:
@@ -125,7 +134,7 @@ class Bench:
 
     def send(self, name: str, fields: dict[str, Any] | None = None, **header: Any) -> int:
         """Put a telecommand on the line; returns its sequence count."""
-        self.put(wire.slip_frame(self.packet(name, fields, **header)))
+        self.put_packet(self.packet(name, fields, **header))
         return self.count
 
     def function(self, name: str, arguments: dict[str, Any] | None = None, **header: Any) -> int:
@@ -214,6 +223,38 @@ class Bench:
         assert self.emulator.unit.mode == MODE[mode]
 
 
+@dataclass
+class CanBench(Bench):
+    """The unit on a CAN bus, an OBC made with struct alone on the other end of its transfers."""
+
+    peer: Peer = field(default_factory=lambda: Peer(0x60A, 0x58A))
+
+    def transmitted(self, data: bytes, t_ns: int) -> None:
+        self.groups.append((t_ns, data))
+        number = len(self.peer.packets)
+        self.peer.take(data, t_ns)
+        for at_ns, packet in self.peer.packets[number:]:
+            self.packets.append(Packet(at_ns, wire.decode_telemetry(packet)))
+
+    def advance(self, until_ns: int) -> None:
+        """An OBC that answers at once: what it has to say goes onto the bus before time goes on."""
+        while True:
+            while self.peer.outbox:
+                self.emulator.receive(self.peer.outbox.popleft())
+            due_ns = self.emulator.next_event_ns()
+            if due_ns is None or due_ns > until_ns:
+                break
+            self.emulator.advance(due_ns)
+        self.emulator.advance(until_ns)
+
+    def put_packet(self, packet: bytes) -> None:
+        self.peer.send(packet)
+
+    def frames(self, identifier: int) -> list[bytes]:
+        """Payloads of the unit's frames of an identifier that belong to no transfer."""
+        return [payload for _, number, payload in self.peer.frames if number == identifier]
+
+
 MakeBench = Callable[..., Bench]
 
 
@@ -223,13 +264,21 @@ def make(profile: UnitProfile | str = "roja1", **arguments: Any) -> Bench:
     ``parameters``: of the scenario; ``timing``, ``wire``, ``detection``: figures of the unit file.
     """
     unit = load_unit(profile) if isinstance(profile, str) else profile
-    for table in ("timing", "wire", "detection"):
+    for table in ("timing", "wire", "detection", "can_section"):
         figures = arguments.pop(table, {})
+        table = table.removesuffix("_section")
         unit = unit.model_copy(update={table: getattr(unit, table).model_copy(update=figures)})
     if parameters := arguments.pop("parameters", None):
         arguments["scenario"] = Scenario(parameters=parameters)
-    bench = Bench.__new__(Bench)
-    Bench.__init__(bench, Emulator(unit, transmit=lambda d, t: bench.transmitted(d, t), **arguments))
+    if "can" in arguments:
+        kind: type[Bench] = CanBench
+        node = arguments["can"].node or unit.can.node
+        fd = arguments["can"].fd
+        own = {"peer": Peer(0x600 + node, 0x580 + node, frame_bytes=64 if fd else 8)}
+    else:
+        kind, own = Bench, {}
+    bench = kind.__new__(kind)
+    kind.__init__(bench, Emulator(unit, transmit=lambda d, t: bench.transmitted(d, t), **arguments), **own)
     return bench
 
 

@@ -186,9 +186,7 @@ class CanPort:
         if pending is not None and self.bus.cancel(pending):
             self.counters.cyclic_overruns += 1
         identifiers = self.settings.identifiers
-        frame = CanFrame(
-            identifiers.identifier(name), encode_can_message(name, fields), identifiers.extended
-        )
+        frame = CanFrame(identifiers.identifier(name), encode_can_message(name, fields), identifiers.extended)
         handle = self.bus.send(frame, partial(self._message_sent, name))
         self._handles.cyclic[name] = handle
 
@@ -307,4 +305,3 @@ class CanPort:
         if self._lost and self._observer is not None:
             lost, self._lost = self._lost, 0
             self._observer.packets_lost(self._lost_reason, lost)
-

@@ -1,0 +1,140 @@
+"""The OBC's end of a CAN bus with struct alone: records of frames, ISO-TP, nothing of ours.
+
+Sources: pcap's LINKTYPE_CAN_SOCKETCAN for the records, ISO 15765-2 (clause 9) for the transfers.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from dataclasses import dataclass, field
+
+EXTENDED, ERROR = 0x8000_0000, 0x2000_0000
+
+
+def record(identifier: int, data: bytes, *, extended: bool = False, fd: bool = False) -> bytes:
+    flags = 0x05 if fd else 0  # FDF and BRS
+    word = identifier | (EXTENDED if extended else 0)
+    return struct.pack(">IBBxx", word, len(data), flags) + data
+
+
+def error_record(error_class: int, data: bytes = bytes(8)) -> bytes:
+    """An error message of SocketCAN (linux/can/error.h)."""
+    return struct.pack(">IBBxx", ERROR | error_class, 8, 0) + data
+
+
+def records(data: bytes) -> list[tuple[int, bytes]]:
+    """(identifier without flags, payload) of whole records."""
+    frames = []
+    while data:
+        word, length = struct.unpack_from(">IB", data)
+        frames.append((word & 0x1FFF_FFFF, data[8 : 8 + length]))
+        data = data[8 + length :]
+    return frames
+
+
+@dataclass
+class Peer:
+    """One OBC: takes the unit's transfers, answering its first frames with flow control, and sends its own.
+
+    ``frame_bytes``: 8, or 64 with CAN FD. ``outbox``: records that go onto the bus next. ``deaf``: it gives
+    no flow control. ``packets``: (time, packet) received whole; ``broken``: transfers that were not.
+    """
+
+    telecommand: int
+    telemetry: int
+    extended: bool = False
+    frame_bytes: int = 8
+    block_size: int = 0
+    deaf: bool = False
+    outbox: deque[bytes] = field(default_factory=deque)
+    packets: list[tuple[int, bytes]] = field(default_factory=list)
+    frames: list[tuple[int, int, bytes]] = field(default_factory=list)
+    broken: int = 0
+    _incoming: bytearray | None = None
+    _length: int = 0
+    _next: int = 0
+    _in_block: int = 0
+    _sending: deque[bytes] = field(default_factory=deque)
+    _pieces: deque[bytes] = field(default_factory=deque)
+
+    def put(self, payload: bytes) -> None:
+        fd = self.frame_bytes > 8
+        lengths = [8, 12, 16, 20, 24, 32, 48, 64]
+        size = next(length for length in lengths if length >= len(payload))
+        padded = payload.ljust(size, b"\x55")
+        self.outbox.append(record(self.telecommand, padded, extended=self.extended, fd=fd))
+
+    def send(self, packet: bytes) -> None:
+        """A telecommand, behind those under way."""
+        self._sending.append(packet)
+        if not self._pieces and len(self._sending) == 1:
+            self._begin()
+
+    def _begin(self) -> None:
+        packet = self._sending[0]
+        room = self.frame_bytes
+        if len(packet) <= 7:
+            self.put(bytes([len(packet)]) + packet)
+            self._sending.popleft()
+            return
+        if room > 8 and len(packet) <= room - 2:
+            self.put(bytes([0, len(packet)]) + packet)
+            self._sending.popleft()
+            if self._sending:
+                self._begin()
+            return
+        self.put(struct.pack(">H", 0x1000 | len(packet)) + packet[: room - 2])
+        rest = packet[room - 2 :]
+        self._pieces = deque(rest[n : n + room - 1] for n in range(0, len(rest), room - 1))
+        self._sequence = 0
+
+    def _go_on(self, block_size: int) -> None:
+        count = block_size or len(self._pieces)
+        for _ in range(min(count, len(self._pieces))):
+            self._sequence = (self._sequence + 1) & 15
+            self.put(bytes([0x20 | self._sequence]) + self._pieces.popleft())
+        if not self._pieces and self._sending:
+            self._sending.popleft()
+            if self._sending:
+                self._begin()
+
+    def take(self, data: bytes, t_ns: int) -> None:
+        """Records that left the unit."""
+        for identifier, payload in records(data):
+            if identifier == self.telemetry:
+                self._take(payload, t_ns)
+            else:
+                self.frames.append((t_ns, identifier, payload))
+
+    def _flow_control(self) -> None:
+        if not self.deaf:
+            self.put(bytes([0x30, self.block_size, 0]))
+            self._in_block = 0
+
+    def _take(self, payload: bytes, t_ns: int) -> None:
+        kind, low = payload[0] >> 4, payload[0] & 15
+        if kind == 0:
+            length, start = (low, 1) if low else (payload[1], 2)
+            self.packets.append((t_ns, payload[start : start + length]))
+        elif kind == 1:
+            self.broken += self._incoming is not None
+            self._length = struct.unpack(">H", payload[:2])[0] & 0xFFF
+            self._incoming, self._next = bytearray(payload[2:]), 1
+            self._flow_control()
+        elif kind == 2 and self._incoming is not None:
+            if low != self._next:
+                self.broken += 1
+                self._incoming = None
+                return
+            self._incoming += payload[1:]
+            self._next = (self._next + 1) & 15
+            if len(self._incoming) >= self._length:
+                self.packets.append((t_ns, bytes(self._incoming[: self._length])))
+                self._incoming = None
+                return
+            self._in_block += 1
+            if self.block_size and self._in_block == self.block_size:
+                self._flow_control()
+        elif kind == 3 and low == 0:
+            self._go_on(payload[1])
