@@ -53,8 +53,8 @@ def _crc_15_table() -> tuple[int, ...]:
 
 
 # A state of the stuffing is the last bit and how often it has come, 1 to 5, in the bits 8 to 11: with 5 the
-# stuff bit is due before the next bit. An entry has the state behind a byte and, from bit 12 on, the number of
-# stuff bits inserted in it.
+# stuff bit is due before the next bit. An entry has the state behind a byte and, from bit 12 on, the number
+# of stuff bits inserted in it.
 _FIRST_RUN = 1 << 8
 _ONE = 8 << 8
 _DUE = 5 << 8
