@@ -350,7 +350,7 @@ def export_dbc(
     units: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[UNIT[:NODE]]...",
+            metavar="UNIT[:NODE]",
             help="Units of the bus, each with the node number of its file or with another. Default: the "
             "shipped units.",
         ),

@@ -1,17 +1,21 @@
-"""Documents generated from the code: the interface control document and the JSON schemas."""
+"""Documents generated from the code: the interface control document, the DBC and the JSON schemas."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from typing import Any
 
 from pydantic import BaseModel
 
+from .errors import ConfigurationError
 from .firmware_model.modes import TRANSITIONS, Mode
 from .onboard.services import ALLOWED_MODES, allowed_modes
 from .profile import load_unit, unit_names
 from .protocol.enumerations import FunctionId
+from .protocol.errors import LocalProtocolError
+from .protocol.exporters.dbc import DbcUnit, can_database
 from .protocol.exporters.icd import interface_control_document
 
 
@@ -91,4 +95,36 @@ def interface_control_document_text() -> str:
         unit_notes=unit_notes(),
         mode_table=mode_table(),
         modelled=allowed + telecommand_modes() + "\n" + MODELLED,
+    )
+
+
+def can_database_text(units: Sequence[str], *, fd: bool = False) -> str:
+    """The DBC of a bus with these units, each ``UNIT`` or ``UNIT:NODE``; without any, the shipped ones.
+
+    Raises:
+        ConfigurationError: no such unit, a node number that cannot be, or two frames of one identifier.
+    """
+    chosen = [_can_unit(text) for text in units or unit_names()]
+    try:
+        return can_database(chosen, fd=fd)
+    except LocalProtocolError as error:
+        raise ConfigurationError(
+            f"{error.field}: found {error.value}; allowed is {error.allowed}. UNIT:NODE gives a unit another "
+            "node number"
+        ) from error
+
+
+def _can_unit(text: str) -> DbcUnit:
+    name, separator, node = text.rpartition(":")
+    if not separator or not re.fullmatch(r"-?[0-9]{1,9}", node):
+        name, node = text, ""
+    profile = load_unit(name)
+    try:
+        identifiers = profile.can.identifier_table(int(node) if node else None)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{text}: {error}") from error
+    return DbcUnit(
+        profile.name,
+        identifiers,
+        profile.can.cycle_times_ms(profile.timing.frame_period_ms),
     )
