@@ -172,14 +172,14 @@ def test_self_test_leaves_memory_as_it_was(bench: Bench) -> None:
 
 def test_self_test_sees_a_damaged_catalogue_and_a_repaired_one(bench: Bench) -> None:
     unit = bench.emulator.unit
-    good = unit._tables_digest
-    unit._tables_digest = b"another"
+    good = unit.self_test._tables_digest
+    unit.self_test._tables_digest = b"another"
     count = bench.function("START_SELF_TEST")
     bench.run(700)
     assert bench.failure(count) == ("completion_failure", 16, 8)
     assert unit.mode == MODE["FAULT"]
     assert bench.events("MODE_CHANGED")[-1] == {"from_mode": 1, "to_mode": 5, "cause": 4}
-    unit._tables_digest = good
+    unit.self_test._tables_digest = good
     bench.forget()
     count = bench.function("START_SELF_TEST")
     bench.run(700)

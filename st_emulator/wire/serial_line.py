@@ -32,7 +32,7 @@ class SerialLine:
         self,
         clock: VirtualClock,
         baud: int,
-        transmit: Callable[[bytes], None],
+        transmit: Callable[[bytes], object],
         receive: Callable[[bytes], None],
         *,
         pace_reception: bool = True,

@@ -30,7 +30,7 @@ class SlipPort:
         self,
         clock: VirtualClock,
         baud: int,
-        transmit: Callable[[bytes], None],
+        transmit: Callable[[bytes], object],
         client: PortClient,
         *,
         pace_reception: bool = True,
