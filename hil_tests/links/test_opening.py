@@ -11,6 +11,10 @@ from st_emulator.links import LinkError, LinkSpecification, NullLink, open_link,
 from st_emulator.links.serial_port import SerialLink
 
 
+def can_of(interface: str, channel: str, bitrate: int | None = None, fd: bool = False) -> LinkSpecification:
+    return LinkSpecification("can", channel, interface=interface, bitrate=bitrate, fd=fd)
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -23,13 +27,30 @@ from st_emulator.links.serial_port import SerialLink
         ("serial:/dev/by@id/x@300", LinkSpecification("serial", "/dev/by@id/x", 300)),
         ("/dev/ttyS1", LinkSpecification("serial", "/dev/ttyS1")),
         ("./pty-of-unit@4000000", LinkSpecification("serial", "./pty-of-unit", 4_000_000)),
+        ("can:socketcan/vcan0", can_of("socketcan", "vcan0")),
+        ("can:socketcan/can0@500000", can_of("socketcan", "can0", 500_000)),
+        ("can:socketcan/can0@10000,fd", can_of("socketcan", "can0", 10_000, True)),
+        ("can:socketcan/vcan0,fd", can_of("socketcan", "vcan0", fd=True)),
+        ("can:slcan//dev/ttyACM0@1000000", can_of("slcan", "/dev/ttyACM0", 1_000_000)),
+        ("can:slcan/dev/ttyACM0", can_of("slcan", "/dev/ttyACM0")),
+        ("can:slcan/ttyACM0", can_of("slcan", "ttyACM0")),
+        ("can:slcan//dev/by@id/x@50000", can_of("slcan", "/dev/by@id/x", 50_000)),
+        ("can:virtual/bench 1,fd", can_of("virtual", "bench 1", fd=True)),
+        ("can:virtual/a/b", can_of("virtual", "a/b")),
     ],
 )
 def test_forms(text: str, expected: LinkSpecification) -> None:
     assert parse_link(text) == expected
 
 
-@pytest.mark.parametrize("text", ["none", "pty", "pty:/a", "serial:/dev/ttyUSB0", "serial:/dev/ttyUSB0@9600"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("none", "pty", "pty:/a", "serial:/dev/ttyUSB0", "serial:/dev/ttyUSB0@9600"),
+        *("can:socketcan/vcan0", "can:socketcan/can0@500000,fd", "can:slcan//dev/ttyACM0@125000"),
+        *("can:virtual/bench", "can:virtual/bench,fd"),
+    ],
+)
 def test_a_specification_reads_as_it_was_written(text: str) -> None:
     assert str(parse_link(text)) == text
 
@@ -51,6 +72,25 @@ def test_a_specification_reads_as_it_was_written(text: str) -> None:
         ("serial:/dev/ttyS0@299", "'299' is no line rate"),
         ("serial:/dev/ttyS0@4000001", "is no line rate"),
         ("serial:/dev/ttyS0@９６００", "is no line rate"),
+        ("can", "unknown CAN interface ''; allowed are socketcan, slcan, virtual, as in can:socketcan/vcan0"),
+        ("can:vcan0", "unknown CAN interface 'vcan0'; allowed are socketcan, slcan, virtual"),
+        ("can:udp_multicast/239.0.0.1", "unknown CAN interface 'udp_multicast'; allowed are"),
+        ("can:SocketCAN/vcan0", "unknown CAN interface 'SocketCAN'"),
+        ("can:socketcan", "the channel is missing; write can:INTERFACE/CHANNEL[@BITRATE][,fd], as in"),
+        ("can:socketcan/", "the channel is missing"),
+        ("can:virtual/@500000", "the channel is missing"),
+        ("can:socketcan/can0,FD", "unknown option 'FD'; allowed is fd"),
+        ("can:socketcan/can0,", "unknown option ''; allowed is fd"),
+        ("can:socketcan/can0,fd,fd", "unknown option 'fd,fd'; allowed is fd"),
+        ("can:socketcan/can0,fd@500000", "unknown option 'fd@500000'"),
+        ("can:socketcan/can0@9999", "'9999' is no CAN bit rate; allowed are 10000 to 1000000 bit/s"),
+        ("can:socketcan/can0@1000001", "is no CAN bit rate"),
+        ("can:socketcan/can0@", "'' is no CAN bit rate"),
+        ("can:socketcan/can0@1M", "'1M' is no CAN bit rate"),
+        ("can:socketcan/a name", "'a name' is no name of a network interface"),
+        ("can:socketcan//dev/ttyACM0", "is no name of a network interface"),
+        ("can:socketcan/sixteen_letters_", "is no name of a network interface"),
+        ("can:slcan/dev/ttyACM0,fd", "slcan has no CAN FD; leave out ,fd"),
     ],
 )
 def test_errors_say_what_is_wrong_and_what_is_allowed(text: str, message: str) -> None:

@@ -5,6 +5,7 @@ from .memory import NullLink
 from .specification import LinkSpecification, parse_link
 
 DEFAULT_BAUD = 115_200
+DEFAULT_BITRATE = 1_000_000
 
 
 def open_link(
@@ -12,18 +13,28 @@ def open_link(
     role: LinkRole = "unit",
     baud: int = DEFAULT_BAUD,
     default_name: str = "unit",
+    bitrate: int = DEFAULT_BITRATE,
 ) -> Link:
     """Open a link as the unit, which creates a pseudo-terminal, or as the OBC, which opens one.
 
-    baud: line rate where the specification names none. default_name: name of the pseudo-terminal's link in
-    the runtime folder when the specification has no path (the unit's name); an OBC that finds no such name
-    takes the only one that is live. Raises LinkError.
+    baud: line rate where the specification names none; bitrate: nominal bit rate of a CAN bus likewise, in
+    bit/s. default_name: name of the pseudo-terminal's link in the runtime folder when the specification has
+    no path (the unit's name); an OBC that finds no such name takes the only one that is live. A CAN bus is
+    the same to both and gives a `can_bus.CanLink`. Raises LinkError.
     """
     if isinstance(specification, str):
         specification = parse_link(specification)
     if specification.kind == "none":
         return NullLink()
     # The port libraries are loaded only when a port is asked for.
+    if specification.kind == "can":
+        from . import can_bus
+
+        assert specification.interface is not None  # parse_link gives no CAN bus without both
+        assert specification.path is not None
+        return can_bus.CanLink(
+            specification.interface, specification.path, specification.bitrate or bitrate, specification.fd
+        )
     from . import pty, serial_port
 
     if specification.kind == "serial":
