@@ -411,7 +411,7 @@ _MEANINGS: tuple[tuple[Enum, str], ...] = (
     (MemoryId.NON_VOLATILE, "non-volatile memory: the stored parameters"),
     (MemoryId.IMAGE, "the captured image, read-only"),
     (TimeStatus.FREE_RUNNING, "time counts from power-on or the last cold reset; it has not been set since"),
-    (TimeStatus.SET, "time has been set by telecommand 9,128; a warm reset keeps it"),
+    (TimeStatus.SET, "time has been set, by telecommand 9,128 or by time_at_sync; a warm reset keeps it"),
     (ResetCause.POWER_ON, "power was applied"),
     (ResetCause.WARM_RESET, "function RESET, warm"),
     (ResetCause.COLD_RESET, "function RESET, cold"),

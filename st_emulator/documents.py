@@ -54,15 +54,22 @@ hardly a spot is without a catalogue star.
 
 def unit_notes() -> str:
     """The shipped units' identifiers and lines, as a Markdown table."""
-    rows = ["| unit | APID | destination | line | frame period | exposure |", "|---|---|---|---|---|---|"]
+    rows = [
+        "| unit | APID | destination | line | frame period | exposure | CAN node | CAN bus | identifiers |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
     for name in unit_names():
         profile = load_unit(name)
-        wire, timing = profile.wire, profile.timing
+        wire, timing, can = profile.wire, profile.timing, profile.can
         rows.append(
             f"| {name} | {wire.apid} (0x{wire.apid:X}) | {wire.source_id} | {wire.baud} baud, 8N1 | "
-            f"{timing.frame_period_ms} ms | {timing.exposure_ms:g} ms |"
+            f"{timing.frame_period_ms} ms | {timing.exposure_ms:g} ms | {can.node} | {can.bitrate} bit/s, "
+            f"CAN FD data {can.data_bitrate} bit/s | {can.identifier_bits} bits |"
         )
-    note = "These figures are each unit file's `[wire]` and `[timing]`; a unit file of yours has its own."
+    note = (
+        "These figures are each unit file's `[wire]`, `[timing]` and `[can]`; a unit file of yours has its "
+        "own. The frames of these units on a CAN bus stand in [units.dbc](units.dbc)."
+    )
     return "\n".join(rows) + "\n\n" + note + "\n"
 
 

@@ -60,7 +60,7 @@ def test_it_names_everything() -> None:
     ]
     for code in FailureCode:
         assert [str(int(code)), code.name] in [row[:2] for row in rows(section("### Failure codes"))]
-    told = {row[1] for row in rows(section("## 4 Reception of telecommands"))}
+    told = {row[1] for row in rows(section("## 5 Reception of telecommands"))}
     assert told >= {reason.name for reason in MalformedReason} - {"NOT_TELEMETRY"}
     for kind in (enumerations.Mode, enumerations.Reason, enumerations.SelfTest, enumerations.TimeStatus):
         assert [row[1] for row in rows(section(f"### {kind.__name__}"))] == [member.name for member in kind]

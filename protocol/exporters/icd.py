@@ -31,6 +31,7 @@ from ..packets import (
 from ..parameters import PARAMETER_TABLE
 from ..registry import REGISTRY, encode_telecommand, encode_telemetry
 from ..services.large_data import IMAGE_HEADER_BYTES, IMAGE_HEADER_FIELDS
+from .icd_can import can_chapter
 from .markdown import FIELD_HEADINGS, IDENTIFIERS, field_row, fields_table, header_table, table
 from .wording import (
     AFTER_RECEPTION,
@@ -60,6 +61,8 @@ _ENUMERATIONS: tuple[type[IntEnum] | type[IntFlag], ...] = (
     enumeration.MemoryId,
     enumeration.MalformedReason,
     enumeration.FramingReason,
+    enumeration.CanState,
+    enumeration.TransferFailure,
 )
 
 
@@ -79,6 +82,7 @@ def interface_control_document(
     lines = ["# Interface control document", "", *INTRODUCTION]
     sections: list[tuple[str, list[str]]] = [
         ("Line", list(LINE)),
+        ("CAN bus", can_chapter()),
         ("Conventions", [*CONVENTIONS, *table(("Type", "Bytes", "What it is"), TYPES)]),
         ("Packets", _packets()),
         ("Reception of telecommands", _reception()),

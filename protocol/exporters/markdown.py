@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from enum import IntFlag
 
-from ..fields import Data, Element, Field, FieldGroup, Repeated, Switched
+from ..fields import Choices, Data, Element, Field, FieldGroup, Repeated, Switched
 from ..headers import HeaderLayout
 
 IDENTIFIERS = {
@@ -34,31 +34,41 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str
     return [*lines, ""]
 
 
+def bit_place(bit: int, bits: int) -> str:
+    """Where a field of ``bits`` bits from ``bit`` on stands: bytes, and bits counted from the most
+    significant.
+    """
+    last = bit + bits - 1
+    if bit % 8 == 0 and bits % 8 == 0:
+        return f"{bit // 8}" if bits == 8 else f"{bit // 8}..{last // 8}"
+    if bit // 8 == last // 8:
+        where = f"bit {bit % 8}" if bits == 1 else f"bits {bit % 8}..{last % 8}"
+        return f"{bit // 8} {where}"
+    return f"{bit // 8} bit {bit % 8} .. {last // 8} bit {last % 8}"
+
+
 def header_table(layout: HeaderLayout, first_byte: int) -> list[str]:
     """The bit table of a header that starts at ``first_byte`` of the packet."""
     rows = []
     bit = 8 * first_byte
     for entry in layout.fields:
-        last = bit + entry.bits - 1
-        if entry.bits % 8 == 0:
-            place = f"{bit // 8}" if entry.bits == 8 else f"{bit // 8}..{last // 8}"
-        elif bit // 8 == last // 8:
-            bits = f"bit {bit % 8}" if entry.bits == 1 else f"bits {bit % 8}..{last % 8}"
-            place = f"{bit // 8} {bits}"
-        else:
-            place = f"{bit // 8} bit {bit % 8} .. {last // 8} bit {last % 8}"
-        rows.append((place, f"`{entry.name}`", entry.bits, entry.title, entry.value))
+        rows.append((bit_place(bit, entry.bits), f"`{entry.name}`", entry.bits, entry.title, entry.value))
         bit += entry.bits
     return table(("Byte", "Field", "Bits", "Name in the standard", "Value"), rows)
+
+
+def value_range_of(choices: Choices) -> str:
+    """The range column of values that an enumeration names: a link to it."""
+    name = choices.__name__
+    title, anchor = IDENTIFIERS.get(name, (name, name.lower()))
+    what = "bits of " if issubclass(choices, IntFlag) else ""
+    return f"{what}[{title}](#{anchor})"
 
 
 def value_range(field: Field) -> str:
     """The range column of a field: empty when the type says all."""
     if field.choices is not None:
-        name = field.choices.__name__
-        title, anchor = IDENTIFIERS.get(name, (name, name.lower()))
-        what = "bits of " if issubclass(field.choices, IntFlag) else ""
-        return f"{what}[{title}](#{anchor})"
+        return value_range_of(field.choices)
     if field.minimum is None and field.maximum is None:
         return ""
     return field.allowed()

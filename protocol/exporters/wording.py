@@ -18,6 +18,8 @@ INTRODUCTION = (
 )
 
 LINE = (
+    "A unit is on a serial line, as described here, or on a CAN bus, as described in the next chapter.",
+    "",
     "Asynchronous serial line, 8 data bits, no parity, 1 stop bit, both directions at once. The baud rate",
     "is the unit's (see its file). There is no flow control.",
     "",
