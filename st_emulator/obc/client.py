@@ -24,24 +24,24 @@ from st_emulator.protocol.parameters import PARAMETER_TABLE
 from st_emulator.protocol.services.memory import MAX_DUMP_BYTES, MAX_LOAD_BYTES
 from st_emulator.tai import tai_ns_from_utc
 
+from .bus import BusExchange
 from .errors import DownloadError, TelecommandTimeout, TelemetryTimeout, VerificationError
-from .exchange import DEFAULT_TIMEOUT_S, Exchange
+from .exchange import DEFAULT_TIMEOUT_S
 from .image import Image, ImageAssembler
 from .observed import Event
 from .verification import NS_PER_S, State, Verification
 
 DOWNLOAD_ROUNDS = 5
-_LINE_BITS_PER_BYTE = 10  # 8N1
-_SET_TIME_LINE_BYTES = 22  # packet 20 with its two ENDs; escapes are left out
+_SET_TIME_BYTES = 20
 Progress = Callable[[int, int | None], None]
 
 
-class Obc(Exchange):
+class Obc(BusExchange):
     """An on-board computer that talks to one star tracker.
 
     Every call waits for its verification and raises VerificationError when the unit reports a failure and
     TelecommandTimeout, naming what never came, when it does not answer. See `Exchange` for telecommands and
-    telemetry by name.
+    telemetry by name, `BusExchange` for what a CAN bus has beside them.
     """
 
     _transaction_id = 0
@@ -113,12 +113,10 @@ class Obc(Exchange):
 
         now: the time at which the unit receives the telecommand's last byte: an aware datetime, a CucTime
         or TAI nanoseconds since 1958-01-01. None: the computer's time, moved on by the time that the
-        telecommand takes on the line.
+        telecommand takes on the line or the idle bus.
         """
         if now is None:
-            baud = getattr(self.link, "baud", None)
-            line_ns = _SET_TIME_LINE_BYTES * _LINE_BITS_PER_BYTE * NS_PER_S // baud if baud else 0
-            now = tai_ns_from_utc(self._reader.utc_now()) + line_ns
+            now = tai_ns_from_utc(self._reader.utc_now()) + self.transport.transfer_ns(_SET_TIME_BYTES)
         elif isinstance(now, datetime):
             now = tai_ns_from_utc(now)
         time = now if isinstance(now, CucTime) else CucTime.from_ns(now)

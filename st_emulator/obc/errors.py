@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -33,11 +34,37 @@ class VerificationError(ObcError):
 class TelecommandTimeout(ObcError):  # noqa: N818  # reads better where it is caught
     """What a telecommand should have brought did not come in time; `missing` names it."""
 
-    def __init__(self, label: str, missing: tuple[str, ...], timeout_s: float) -> None:
+    def __init__(self, label: str, missing: tuple[str, ...], timeout_s: float, detail: str = "") -> None:
         self.label = label
         self.missing = missing
         self.timeout_s = timeout_s
-        super().__init__(f"{label}: within {timeout_s:g} s never came: {', '.join(missing)}")
+        what = f"{label}: within {timeout_s:g} s never came: {', '.join(missing)}"
+        super().__init__(f"{what}; {detail}" if detail else what)
+
+
+class TelecommandNotDelivered(TelecommandTimeout):
+    """The unit did not take a telecommand off the bus; `detail` says how that showed after `after_s`."""
+
+    def __init__(self, label: str, missing: tuple[str, ...], after_s: float, detail: str) -> None:
+        super().__init__(label, missing, after_s, detail)
+        self.detail = detail
+        self.args = (f"{label}: not delivered: {detail}, after {after_s:.3g} s",)
+
+
+class UnitNotChosenError(ObcError):
+    """Nobody said which unit of the bus is meant, and heartbeats do not tell; `nodes` were heard."""
+
+    def __init__(self, nodes: Sequence[int]) -> None:
+        self.nodes = tuple(nodes)
+        if self.nodes:
+            heard = f"several units are on the bus: nodes {', '.join(map(str, self.nodes))}"
+        else:
+            heard = "no unit's heartbeat came"
+        super().__init__(f"{heard}; name the one that is meant: its node number, or its unit file")
+
+
+class NoBusError(ObcError):
+    """What only a CAN bus has was asked for on another link."""
 
 
 class TelemetryTimeout(ObcError):  # noqa: N818

@@ -3,37 +3,42 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import islice
+from itertools import takewhile
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from st_emulator.links import Link, open_link
+from st_emulator.links import Link
 from st_emulator.naming import member, name_of
 from st_emulator.protocol.enumerations import EventId
-from st_emulator.protocol.framing import slip_encode
 from st_emulator.protocol.packets import Telemetry
 
 from .attitude import Attitude
-from .errors import TelecommandTimeout, TelemetryTimeout, VerificationError
-from .obc_protocol import Counters, ObcProtocol, TelemetryReceived
+from .connecting import connect_to
+from .counters import Counters
+from .cyclic import CyclicLog
+from .errors import TelecommandNotDelivered, TelecommandTimeout, TelemetryTimeout, VerificationError
+from .obc_protocol import ObcEvent, ObcProtocol, TelemetryReceived
 from .observed import EVENT_REPORTS, Event, ObservedUnit
 from .reading import LiveReader, Reader
 from .recorder import Recorder
+from .transport import CyclicReceived, SlipTransport, Transport
 from .verification import NS_PER_S, State, Verification
 
 KEPT_PACKETS = 10_000
 DEFAULT_TIMEOUT_S = 5.0
 LEARNING_S = 1.5
-"""Units report housekeeping each second as they come."""
+"""Units report housekeeping and send their heartbeat each second as they come."""
 Predicate = Callable[[Telemetry], Any]
 
 
 @dataclass(frozen=True)
 class Received:
-    """A telemetry packet, its number in the order of arrival (from 0) and its reception time."""
+    """A telemetry packet, its number in the order of arrival (from 0; on a CAN bus the cyclic frames have
+    numbers of the same count) and its reception time.
+    """
 
     number: int
     telemetry: Telemetry
@@ -49,7 +54,8 @@ class Exchange:
 
     apid: the unit's application process; None takes telemetry of any and answers the first that is heard.
     source_id: the OBC's identity. recorder: where everything is written.
-    reader: how the link is read; None reads it in a thread in real time.
+    reader: how the link is read; None reads it in a thread in real time. transport: what carries packets on
+    the link; None is a serial line.
     """
 
     def __init__(
@@ -60,10 +66,15 @@ class Exchange:
         source_id: int = 0,
         recorder: Recorder | None = None,
         reader: Reader | None = None,
+        transport: Transport | None = None,
     ) -> None:
         self.link = link
         self.unit = ObservedUnit()
-        self._protocol = ObcProtocol(apid, source_id)
+        self.cyclic_log = CyclicLog()
+        self.transport: Transport = (
+            SlipTransport(getattr(link, "baud", None)) if transport is None else transport
+        )
+        self._protocol = ObcProtocol(apid, source_id, self.transport)
         self._recorder = recorder
         self._reader: Reader = LiveReader() if reader is None else reader
         self._received: deque[Received] = deque(maxlen=KEPT_PACKETS)
@@ -72,9 +83,9 @@ class Exchange:
         self._asked_for_apid = False
         self.started_ns = self._reader.now_ns()
         if recorder is not None:
-            session = {"link": link.name, "apid": apid, "source_id": source_id}
-            recorder.begin(self.started_ns, session | {"started_utc": self._reader.utc_now().isoformat()})
-        self._reader.start(link, self._take)
+            session = {"link": link.name, "apid": apid, "source_id": source_id, **self.transport.description}
+            recorder.begin(self.started_ns, self._reader.utc_now(), session)
+        self._reader.start(link, self._take, self.transport.next_deadline_ns)
 
     @classmethod
     def connect(
@@ -82,20 +93,32 @@ class Exchange:
         link: str,
         *,
         apid: int | None = None,
-        source_id: int = 0,
-        baud: int = 115_200,
+        source_id: int | None = None,
+        baud: int | None = None,
         record: str | Path | None = None,
+        unit: str | None = None,
+        node: int | None = None,
     ) -> Self:
-        """An OBC on a link that is opened here: `pty:/path`, `serial:/dev/ttyUSB0@115200` or a bare path.
+        """An OBC on a link that is opened here: `pty:/path`, `serial:/dev/ttyUSB0@115200`, a bare path, or
+        `can:socketcan/vcan0`.
 
-        record: folder for a recording. LinkError or RecordingError when it cannot be.
+        unit: name or file of the unit whose APID, source ID, rates and CAN identifiers are meant where they
+        are not given. node: the unit's node number on a CAN bus; with neither unit nor node it is learned
+        from its heartbeat. record: folder for a recording. LinkError, ConfigurationError or RecordingError
+        when it cannot be.
         """
-        opened = open_link(link, role="obc", baud=baud)
+        connection = connect_to(link, unit=unit, apid=apid, source_id=source_id, baud=baud, node=node)
         try:
             recorder = None if record is None else Recorder(record)
-            return cls(opened, apid=apid, source_id=source_id, recorder=recorder)
+            return cls(
+                connection.link,
+                apid=connection.apid,
+                source_id=connection.source_id,
+                recorder=recorder,
+                transport=connection.transport,
+            )
         except BaseException:
-            opened.close()
+            connection.link.close()
             raise
 
     def close(self) -> None:
@@ -157,7 +180,11 @@ class Exchange:
         """As `send`, without waiting: the record returned is brought up to date as reports come.
 
         Without an APID given, the first telecommand waits for telemetry to learn it from, at most LEARNING_S.
+        Where a CAN bus was opened without naming unit or node, it also waits until every heartbeat must have
+        come, LEARNING_S from the start on: UnitNotChosenError when none or several were heard.
         """
+        if not self.transport.settled:
+            self._settle()
         if apid is None and not self._asked_for_apid:
             self._asked_for_apid = True
             self._reader.wait(lambda: self._protocol.apid_known, self._deadline_ns(LEARNING_S))
@@ -173,7 +200,7 @@ class Exchange:
             )
             if self._recorder is not None:
                 self._recorder.sent(name, fields, verification, line)
-            self.link.write(line)
+            self._write(line)
         return verification
 
     def finish(self, verification: Verification) -> Verification:
@@ -186,7 +213,14 @@ class Exchange:
             raise VerificationError(verification)
         if verification.state is State.TIMED_OUT:
             timeout_s = (verification.deadline_ns - verification.sent_ns) / NS_PER_S
-            raise TelecommandTimeout(verification.label, verification.missing, timeout_s)
+            raise TelecommandTimeout(
+                verification.label, verification.missing, timeout_s, verification.transfer
+            )
+        if verification.state is State.NOT_DELIVERED:
+            after_s = verification.seconds or 0.0
+            raise TelecommandNotDelivered(
+                verification.label, verification.missing, after_s, verification.transfer
+            )
         return verification
 
     def request(
@@ -209,7 +243,7 @@ class Exchange:
             _named(reply, predicate),
             mark,
             verification.deadline_ns,
-            give_up=lambda: verification.state is State.FAILED,
+            give_up=lambda: verification.state in (State.FAILED, State.NOT_DELIVERED),
         )
         self.finish(verification)
         if found is None:
@@ -217,9 +251,16 @@ class Exchange:
         return found, verification
 
     def send_raw(self, data: bytes, *, framed: bool = False) -> int:
-        """Put bytes on the wire as they are (`framed`: as one SLIP frame); the number of bytes taken."""
+        """Put bytes on the wire as they are (on a CAN bus: records of frames), or `framed` as one packet,
+        whatever it says. The number of bytes that the link took; of a packet that leaves frame by frame, of
+        the packet.
+        """
         with self._reader.lock:
-            return self.link.write(slip_encode(data) if framed else data)
+            if not framed:
+                return self.link.write(data)
+            line = self.transport.encode(data, self._reader.now_ns())
+            taken = self._write(line)
+            return taken if line else len(data)
 
     # Telemetry
 
@@ -273,6 +314,7 @@ class Exchange:
         """Let time pass and telemetry come in."""
         self._reader.wait(lambda: False, self._deadline_ns(seconds))
         self._expire()
+        self.transport.check_choice()
 
     def attitudes(self) -> list[Attitude]:
         """Every attitude report received (the last 100,000)."""
@@ -305,17 +347,49 @@ class Exchange:
 
     # Within
 
+    def _settle(self) -> None:
+        """Before the first telecommand: which unit of the bus it is for, where nobody said."""
+        self._reader.wait(lambda: False, self.started_ns + round(LEARNING_S * NS_PER_S))
+        with self._reader.lock:
+            self.transport.settle()
+
+    def _write(self, line: bytes) -> int:
+        """Write what leaves at once and begin what leaves bit by bit; called with the lock held."""
+        taken = self.link.write(line) if line else 0
+        self._pump()
+        if self.transport.next_deadline_ns() is not None:
+            self._reader.wake()
+        return taken
+
+    def _pump(self) -> None:
+        """Give the link what the transport has for it; called with the lock held."""
+        while data := self.transport.outgoing(self._reader.now_ns()):
+            taken = self.link.write(data)
+            self._handle(self._protocol.written(taken, self._reader.now_ns()))
+            if taken < len(data):
+                return
+
     def _take(self, data: bytes, now_ns: int) -> None:
-        """What the reader has read; called with its lock held."""
-        for event in self._protocol.receive(data, now_ns):
+        """What the reader has read, or b"" when it is time; called with its lock held."""
+        self._handle(self._protocol.receive(data, now_ns))
+        self._pump()
+
+    def _handle(self, events: Iterable[ObcEvent]) -> None:
+        for event in events:
             if isinstance(event, TelemetryReceived):
-                self._received.append(Received(self._next_number, event.telemetry, event.time_ns))
-                self._next_number += 1
+                self._received.append(Received(self._count(), event.telemetry, event.time_ns))
                 self.unit.take(event.telemetry, event.time_ns)
                 if self._recorder is not None:
                     self._recorder.telemetry(event.telemetry, event.time_ns)
-            elif self._recorder is not None:
+                continue
+            if isinstance(event, CyclicReceived):
+                self.cyclic_log.take(self._count(), event)
+            if self._recorder is not None:
                 self._recorder.event(event)
+
+    def _count(self) -> int:
+        self._next_number += 1
+        return self._next_number - 1
 
     def _expire(self) -> None:
         with self._reader.lock:
@@ -327,8 +401,7 @@ class Exchange:
         return (self._reader.now_ns() if begun_ns is None else begun_ns) + round(timeout_s * NS_PER_S)
 
     def _since(self, mark: int) -> list[Received]:
-        count = min(self._next_number - mark, len(self._received))
-        return list(islice(reversed(self._received), max(0, count)))[::-1]
+        return list(takewhile(lambda entry: entry.number >= mark, reversed(self._received)))[::-1]
 
     def _find(
         self,
@@ -351,6 +424,7 @@ class Exchange:
             return give_up()
 
         self._reader.wait(search, deadline_ns)
+        self.transport.check_choice()
         return found[0] if found else None
 
 

@@ -6,19 +6,19 @@ uses. Malformed input is an event and a counter, never an exception, and costs n
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from st_emulator.naming import resolve_fields, telecommand_label
+from st_emulator.protocol.can_transport import FrameIgnored, ReceptionFailed
 from st_emulator.protocol.enumerations import FramingReason, FunctionId, MalformedReason
-from st_emulator.protocol.framing import END, FrameDiscarded, FrameReceived, SlipDecoder, slip_encode
+from st_emulator.protocol.framing import FrameDiscarded
 from st_emulator.protocol.packets import (
     ACK_ACCEPTANCE,
     ACK_COMPLETION,
     ACK_PROGRESS,
     ACK_START,
-    MAX_TELEMETRY_BYTES,
     SEQUENCE_MODULO,
     Malformed,
     RequestId,
@@ -26,46 +26,26 @@ from st_emulator.protocol.packets import (
 )
 from st_emulator.protocol.registry import encode_telecommand, parse_telemetry
 
+from .counters import CanCounters, Counters
+from .transport import (
+    MAX_FRAME_BYTES,
+    CanFrameLost,
+    CanFrameSeen,
+    CyclicMalformed,
+    CyclicReceived,
+    PacketNotDelivered,
+    PacketReceived,
+    SlipTransport,
+    Transport,
+    TransportEvent,
+)
 from .verification import State, Verification, VerificationTracker, is_verification
+
+__all__ = ["MAX_FRAME_BYTES", "Counters", "ObcEvent", "ObcProtocol"]
 
 DEFAULT_APID = 0x64
 ALL_ACKS = ACK_ACCEPTANCE | ACK_START | ACK_PROGRESS | ACK_COMPLETION
 DEFAULT_TIMEOUT_NS = 5_000_000_000
-# The largest packet, and as much again for what a damaged END may join to it; more is noise.
-MAX_FRAME_BYTES = 2 * MAX_TELEMETRY_BYTES
-
-
-@dataclass
-class Counters:
-    """What has happened on the wire since the link was opened. All count from 0 and never wrap."""
-
-    received_bytes: int = 0
-    packets: int = 0
-    startup_fragments: int = 0
-    """A frame that was under way when the link was opened (at most one): not an error."""
-    framing_errors: int = 0
-    crc_errors: int = 0
-    malformed: int = 0
-    """Frames that are no telemetry packet for another reason than CRC, unknown messages not included."""
-    unknown: int = 0
-    """Packets of a service, subservice or structure that this interface does not define."""
-    other_apid: int = 0
-    """Packets of another application process than the one asked for."""
-    sequence_gaps: int = 0
-    missing_packets: int = 0
-    restarts: int = 0
-    """Sequence counts that began again at 0 out of turn."""
-    sent_bytes: int = 0
-    telecommands_sent: int = 0
-    telecommands_verified: int = 0
-    telecommands_failed: int = 0
-    telecommands_timed_out: int = 0
-    unmatched_verifications: int = 0
-    """Verification reports of telecommands that this OBC did not send, or no longer waits for."""
-
-    def as_dict(self) -> dict[str, int]:
-        """Name to count."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -78,7 +58,9 @@ class TelemetryReceived:
 
 @dataclass(frozen=True)
 class VerificationUpdated:
-    """A report came for one of our telecommands, or its time is over (`report` is None)."""
+    """A report came for one of our telecommands; or (`report` is None) its time is over, or it did not reach
+    the unit.
+    """
 
     verification: Verification
     report: Telemetry | None
@@ -117,7 +99,19 @@ class FrameLost:
     time_ns: int
 
 
-ObcEvent = TelemetryReceived | VerificationUpdated | SequenceGapDetected | MalformedReceived | FrameLost
+ObcEvent = (
+    TelemetryReceived
+    | VerificationUpdated
+    | SequenceGapDetected
+    | MalformedReceived
+    | FrameLost
+    | CanFrameSeen
+    | CanFrameLost
+    | CyclicReceived
+    | CyclicMalformed
+    | ReceptionFailed
+    | FrameIgnored
+)
 
 _UNKNOWN = (MalformedReason.UNKNOWN_SERVICE, MalformedReason.UNKNOWN_SUBSERVICE, MalformedReason.UNKNOWN_ID)
 
@@ -134,17 +128,18 @@ class ObcProtocol:
 
     apid: application process to talk to. None: telemetry of any APID is taken, and telecommands go to the
     APID of the first telemetry (0x64 before there is one). source_id: the OBC's own identity in its
-    telecommands.
+    telecommands. transport: what carries packets; None is SLIP.
     """
 
-    def __init__(self, apid: int | None = None, source_id: int = 0) -> None:
+    def __init__(
+        self, apid: int | None = None, source_id: int = 0, transport: Transport | None = None
+    ) -> None:
         self.apid = apid
         self.source_id = source_id
-        self.counters = Counters()
+        self.transport: Transport = SlipTransport() if transport is None else transport
+        self.counters: Counters = self.transport.counters
         self.verifications = VerificationTracker()
         self._learned_apid: int | None = None
-        self._decoder = SlipDecoder(MAX_FRAME_BYTES)
-        self._fragment = False
         self._next_telemetry_count: dict[int, int] = {}
         self._next_telecommand_count: dict[int, int] = {}
 
@@ -161,22 +156,25 @@ class ObcProtocol:
         return DEFAULT_APID if self._learned_apid is None else self._learned_apid
 
     def receive(self, data: bytes, now_ns: int) -> list[ObcEvent]:
-        """Everything that `data`, which has arrived at `now_ns`, completes or ends."""
+        """Everything that `data`, which has arrived at `now_ns`, and that time complete or end."""
         events: list[ObcEvent] = []
-        if data and not self.counters.received_bytes:
-            # Whoever begins to listen in the middle of a frame hears its rest; frames begin with END.
-            self._fragment = data[0] != END
-        self.counters.received_bytes += len(data)
-        for frame in self._decoder.receive(data, now_ns):
-            self._take_frame(frame, events)
-            self._fragment = False
+        self._take_all(self.transport.receive(data, now_ns), events)
+        self._take_all(self.transport.poll(now_ns), events)
         events += self.expire(now_ns)
+        return events
+
+    def written(self, count: int, now_ns: int) -> list[ObcEvent]:
+        """The link took `count` bytes of what `transport.outgoing` gave."""
+        events: list[ObcEvent] = []
+        self._take_all(self.transport.written(count, now_ns), events)
         return events
 
     def expire(self, now_ns: int) -> list[ObcEvent]:
         """Telecommands whose time is over at `now_ns`."""
         expired = self.verifications.expire(now_ns)
         self.counters.telecommands_timed_out += len(expired)
+        for verification in expired:
+            verification.transfer = self.transport.withdraw(verification.packet)
         return [VerificationUpdated(verification, None, now_ns) for verification in expired]
 
     def telecommand(
@@ -190,12 +188,13 @@ class ObcProtocol:
         apid: int | None = None,
         strict: bool = True,
     ) -> tuple[bytes, Verification]:
-        """Bytes for the wire and the telecommand's record, which later reports bring up to date.
+        """Bytes to write to the link at once (b"" where the transport gives them bit by bit) and the
+        telecommand's record, which later reports bring up to date.
 
         ack: flags for the reports asked for, None: all that the unit gives. strict: False lets values out
-        that the interface does not allow.         Enumerations may be given by name. Reports are waited for
-        until `now_ns + timeout_ns`. LocalProtocolError when the message does not exist or a field cannot be
-        sent; then no sequence count is used up.
+        that the interface does not allow. Enumerations may be given by name. Reports are waited for until
+        `now_ns + timeout_ns`. LocalProtocolError when the message does not exist or a field cannot be sent;
+        then no sequence count is used up.
         """
         destination = self.destination_apid if apid is None else apid
         count = self._next_telecommand_count.get(destination, 0)
@@ -219,35 +218,50 @@ class ObcProtocol:
             ack=ack,
             sent_ns=now_ns,
             deadline_ns=now_ns + timeout_ns,
+            packet=packet,
         )
         self.verifications.sent(verification)
         self.counters.telecommands_sent += 1
         if verification.state is State.VERIFIED:
             self.counters.telecommands_verified += 1
-        line = slip_encode(packet)
-        self.counters.sent_bytes += len(line)
-        return line, verification
+        return self.transport.encode(packet, now_ns), verification
 
-    def _take_frame(self, frame: FrameReceived | FrameDiscarded, events: list[ObcEvent]) -> None:
-        if isinstance(frame, FrameDiscarded):
-            if self._fragment:
-                self.counters.startup_fragments += 1
-                return
-            self.counters.framing_errors += 1
-            events.append(FrameLost(frame.reason, frame.length, frame.time_ns))
-            return
-        parsed = parse_telemetry(frame.data)
+    def _take_all(self, happened: Iterable[TransportEvent], events: list[ObcEvent]) -> None:
+        for event in happened:
+            if isinstance(event, PacketReceived):
+                self._take_packet(event, events)
+            elif isinstance(event, FrameDiscarded):
+                self.counters.framing_errors += 1
+                events.append(FrameLost(event.reason, event.length, event.time_ns))
+            elif isinstance(event, PacketNotDelivered):
+                self._take_not_delivered(event, events)
+            else:
+                events.append(event)
+
+    def _take_packet(self, packet: PacketReceived, events: list[ObcEvent]) -> None:
+        parsed = parse_telemetry(packet.data)
         if isinstance(parsed, Malformed):
-            self._take_malformed(parsed, frame.time_ns, events)
+            if packet.begun_unheard:
+                self.counters.startup_fragments += 1
+            else:
+                self._take_malformed(parsed, packet.time_ns, events)
         elif self.apid is not None and parsed.apid != self.apid:
             self.counters.other_apid += 1
         else:
-            self._take_telemetry(parsed, frame.time_ns, events)
+            self._take_telemetry(parsed, packet.time_ns, events)
+
+    def _take_not_delivered(self, event: PacketNotDelivered, events: list[ObcEvent]) -> None:
+        pending = {id(verification): verification.state for verification in self.verifications}
+        verification = self.verifications.not_delivered(event.packet, event.reason, event.time_ns)
+        if verification is None:  # its time was over before, and it counts as timed out
+            return
+        if pending[id(verification)] is State.VERIFIED:  # nothing was asked for
+            self.counters.telecommands_verified -= 1
+        if isinstance(self.counters, CanCounters):
+            self.counters.telecommands_not_delivered += 1
+        events.append(VerificationUpdated(verification, None, event.time_ns))
 
     def _take_malformed(self, malformed: Malformed, now_ns: int, events: list[ObcEvent]) -> None:
-        if self._fragment:
-            self.counters.startup_fragments += 1
-            return
         if malformed.reason is MalformedReason.BAD_CRC:
             self.counters.crc_errors += 1
         elif malformed.reason in _UNKNOWN:

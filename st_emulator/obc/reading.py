@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import threading
@@ -15,12 +16,20 @@ from st_emulator.links import Link, LinkError
 POLL_INTERVAL_S = 0.001
 STEPPED_EPOCH = datetime(2026, 1, 1, tzinfo=UTC)
 TakeBytes = Callable[[bytes, int], None]
+NextDeadline = Callable[[], int | None]
+WAKE_BYTES = 512
+
+
+def never() -> int | None:
+    """No deadline."""
+    return None
 
 
 class Reader(Protocol):
     """Brings what arrives on a link to `take(data, now_ns)` and lets a caller wait for what comes of it.
 
-    `take` is called with `lock` held, and never twice at the same time.
+    `take` is called with `lock` held, and never twice at the same time; with b"" when nothing arrived by the
+    time that `next_deadline_ns` gives.
     """
 
     lock: threading.RLock
@@ -33,8 +42,12 @@ class Reader(Protocol):
         """The civil time that belongs to `now_ns()`."""
         ...
 
-    def start(self, link: Link, take: TakeBytes) -> None:
-        """Begin to listen."""
+    def start(self, link: Link, take: TakeBytes, next_deadline_ns: NextDeadline = never) -> None:
+        """Begin to listen. `next_deadline_ns` is called with `lock` held."""
+        ...
+
+    def wake(self) -> None:
+        """Somebody else than `take` has brought the next deadline forward."""
         ...
 
     def wait(self, done: Callable[[], bool], deadline_ns: int) -> bool:
@@ -68,13 +81,22 @@ class LiveReader:
         """The computer's civil time."""
         return datetime.now(UTC)
 
-    def start(self, link: Link, take: TakeBytes) -> None:
+    def start(self, link: Link, take: TakeBytes, next_deadline_ns: NextDeadline = never) -> None:
         """Begin to listen."""
         wake_read_fd, self._wake_fd = os.pipe()
+        os.set_blocking(self._wake_fd, False)
         self._thread = threading.Thread(
-            target=self._listen, args=(link, take, wake_read_fd), name="obc-reader", daemon=True
+            target=self._listen,
+            args=(link, take, next_deadline_ns, wake_read_fd),
+            name="obc-reader",
+            daemon=True,
         )
         self._thread.start()
+
+    def wake(self) -> None:
+        """Let the thread look at the deadline anew."""
+        with contextlib.suppress(OSError):  # it is awake already, or has ended
+            os.write(self._wake_fd, b"w")
 
     def wait(self, done: Callable[[], bool], deadline_ns: int) -> bool:
         """Sleep until `done()` or the deadline; what the thread could not do is raised here."""
@@ -94,19 +116,28 @@ class LiveReader:
             return
         self._stopping.set()
         os.close(self._wake_fd)  # its other end becomes readable
+        self._wake_fd = -1
         self._thread.join()
         self._thread = None
 
-    def _listen(self, link: Link, take: TakeBytes, wake_fd: int) -> None:
+    def _listen(self, link: Link, take: TakeBytes, next_deadline_ns: NextDeadline, wake_fd: int) -> None:
         try:
             fd = link.fileno()
             waited_for = [wake_fd] if fd is None else [fd, wake_fd]
-            timeout_s = POLL_INTERVAL_S if fd is None else None
+            most_s = POLL_INTERVAL_S if fd is None else None
             while not self._stopping.is_set():
-                select.select(waited_for, [], [], timeout_s)
+                with self.lock:
+                    due_ns = next_deadline_ns()
+                timeout_s = most_s
+                if due_ns is not None:
+                    left_s = max(0, due_ns - self.now_ns()) / 1e9
+                    timeout_s = left_s if most_s is None else min(left_s, most_s)
+                ready, _, _ = select.select(waited_for, [], [], timeout_s)
+                if wake_fd in ready:
+                    os.read(wake_fd, WAKE_BYTES)
                 data = link.read()
-                if data:
-                    now_ns = self.now_ns()
+                now_ns = self.now_ns()
+                if data or (due_ns is not None and now_ns >= due_ns):
                     with self._changed:
                         take(data, now_ns)
                         self._changed.notify_all()
@@ -131,6 +162,7 @@ class SteppedReader:
         self._now_ns = 0
         self._link: Link | None = None
         self._take: TakeBytes | None = None
+        self._next_deadline_ns: NextDeadline = never
 
     def now_ns(self) -> int:
         """Steps so far, as time."""
@@ -140,23 +172,32 @@ class SteppedReader:
         """Steps so far, counted from STEPPED_EPOCH."""
         return STEPPED_EPOCH + timedelta(microseconds=self._now_ns // 1000)
 
-    def start(self, link: Link, take: TakeBytes) -> None:
+    def start(self, link: Link, take: TakeBytes, next_deadline_ns: NextDeadline = never) -> None:
         """Begin to listen."""
-        self._link, self._take = link, take
+        self._link, self._take, self._next_deadline_ns = link, take, next_deadline_ns
+
+    def wake(self) -> None:
+        """Nothing: the deadline is looked at before each step."""
 
     def wait(self, done: Callable[[], bool], deadline_ns: int) -> bool:
-        """Make steps until `done()` or the deadline."""
+        """Make steps until `done()` or the deadline; a step ends early where `next_deadline_ns` says so."""
         if self._link is None or self._take is None:
             raise LinkError("stepped: the reader is not listening to any link")
         while True:
-            if data := self._link.read():
+            data = self._link.read()
+            due_ns = self._next_deadline_ns()
+            if data or (due_ns is not None and due_ns <= self._now_ns):
                 self._take(data, self._now_ns)
             if done():
                 return True
             if self._now_ns >= deadline_ns:
                 return False
-            self._now_ns = min(self._now_ns + self._step_ns, deadline_ns)
-            self._step(self._now_ns)
+            next_ns = min(self._now_ns + self._step_ns, deadline_ns)
+            due_ns = self._next_deadline_ns()
+            if due_ns is not None and self._now_ns < due_ns < next_ns:
+                next_ns = due_ns
+            self._now_ns = next_ns
+            self._step(next_ns)
 
     def stop(self) -> None:
         """Listen no more."""

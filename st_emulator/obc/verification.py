@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 
-from st_emulator.protocol.enumerations import MEANINGS, FailureCode
+from st_emulator.protocol.enumerations import MEANINGS, FailureCode, TransferFailure
 from st_emulator.protocol.packets import (
     ACK_ACCEPTANCE,
     ACK_COMPLETION,
@@ -30,6 +30,7 @@ class State(Enum):
     VERIFIED = "verified"
     FAILED = "failed"
     TIMED_OUT = "timed out"
+    NOT_DELIVERED = "not delivered"
 
 
 class Stage(IntEnum):
@@ -66,6 +67,8 @@ class Verification:
     `steps`: step numbers of the progress reports; `failed_steps`: step numbers and failure codes of failed
     ones, after which execution goes on. `*_ns`: reception times. `failure_*`: of the failure report that
     ended it, if one came. `deadline_ns` may be moved by whoever sees that the unit is still at work.
+    `packet` is what was sent. `transfer` says in words what kept it from the unit, where that is known (on
+    a CAN bus).
     """
 
     request_id: RequestId
@@ -87,6 +90,8 @@ class Verification:
     failure_code: int | None = None
     failure_data: int = 0
     state: State = State.PENDING
+    packet: bytes = field(default=b"", repr=False)
+    transfer: str = ""
 
     @property
     def finished(self) -> bool:
@@ -141,7 +146,8 @@ class Verification:
     @property
     def seconds(self) -> float | None:
         """From sending to the report that ended it, None before."""
-        ended_ns = self.failed_ns if self.state is State.FAILED else self._last_report_ns()
+        failed = self.state in (State.FAILED, State.NOT_DELIVERED)
+        ended_ns = self.failed_ns if failed else self._last_report_ns()
         return None if ended_ns is None else (ended_ns - self.sent_ns) / NS_PER_S
 
     def _last_report_ns(self) -> int | None:
@@ -167,6 +173,12 @@ class Verification:
             self.completed, self.completed_ns = True, now_ns
         if self.state is State.PENDING and not self.missing:
             self.state = State.VERIFIED
+
+    def not_delivered(self, reason: TransferFailure, now_ns: int) -> None:
+        """The unit did not take the packet off the bus."""
+        self.transfer = f"{MEANINGS.get(reason, '')} ({reason.name})"
+        self.failed_ns = now_ns
+        self.state = State.NOT_DELIVERED
 
     def _fail(self, stage: Stage, telemetry: Telemetry, now_ns: int) -> None:
         self.failure_stage = stage
@@ -211,6 +223,15 @@ class VerificationTracker:
         if ended and not verification.missing:
             del self._pending[verification.request_id]
         return verification
+
+    def not_delivered(self, packet: bytes, reason: TransferFailure, now_ns: int) -> Verification | None:
+        """The telecommand of a packet that did not reach the unit; None when nobody waits for it."""
+        for verification in self:
+            if verification.packet is packet:
+                del self._pending[verification.request_id]
+                verification.not_delivered(reason, now_ns)
+                return verification
+        return None
 
     def expire(self, now_ns: int) -> list[Verification]:
         """Telecommands that now count as timed out; verified ones whose time is over are just forgotten."""
