@@ -207,8 +207,14 @@ class RecordDecoder:
         self._rest = data[start:]
         return frames
 
+    @property
+    def incomplete(self) -> bool:
+        """Whether the bytes so far end within a record."""
+        return bool(self._rest)
+
     def reset(self) -> None:
-        """Forget the record in progress."""
+        """Forget the record in progress and count it as malformed."""
+        self.malformed += bool(self._rest)
         self._rest = b""
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from .protocol.can_frames import RecordDecoder
 from .protocol.can_messages import CanIdentifiers
+from .protocol.can_transfer import NEVER_NS
 from .protocol.can_transport import IsoTpConnection, IsoTpSettings, PduReceived, ReceptionFailed
 from .protocol.framing import FrameReceived, SlipDecoder
 from .protocol.packets import MAX_TELEMETRY_BYTES, Malformed, Telemetry
@@ -26,6 +27,7 @@ class _CanPackets:
                 fd=fd,
                 frame_bytes=64 if fd else 8,
                 max_receive_bytes=MAX_TELEMETRY_BYTES,
+                n_cr_ns=NEVER_NS // 2,  # the real receiver may pause the transfer with its flow control
             )
         )
 

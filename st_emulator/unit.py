@@ -188,6 +188,7 @@ class StarTracker:
         """Leave for OFF: nothing is sent or processed until power is cycled."""
         self._life += 1
         self.mode = Mode.OFF
+        self.port.restart()  # cyclic frames that still wait for a CAN bus
 
     def go_down(self, last: Callable[[], None]) -> None:
         """Come to rest and do ``last`` (a reset, a shutdown) when the line is idle.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ..clock import NS_PER_MS, NS_PER_S
@@ -52,9 +51,11 @@ class CanServices:
         self._latched = None
         self._failures = 0
         self._report_pending = False
+        self._bus_off_ns = None
 
     def start(self) -> None:
-        """The boot is over: heartbeats from now on."""
+        """The boot is over: the receiver is on, heartbeats from now on."""
+        self._port.listen()
         if self._settings.heartbeat_ms:
             self._heartbeat()
 
@@ -111,26 +112,27 @@ class CanServices:
     # -- the port's observer
     # --------------------------------------------------------------------------------------------
 
-    def message_received(self, name: str, fields: Mapping[str, Any]) -> None:
-        unit, now_ns = self._unit, self._unit.clock.now_ns
+    def message_received(self, name: str, fields: Mapping[str, Any], last_bit_ns: int) -> None:
+        unit = self._unit
         counter = int(fields["sync_counter"])
         if name == "sync":
             self._syncs += 1
-            self._latched = (counter, now_ns)
-            self._port.send_message("sync_time", {"sync_counter": counter, **_seconds(unit.time.cuc(now_ns))})
+            self._latched = (counter, last_bit_ns)
+            time = _seconds(unit.time.cuc(last_bit_ns))
+            self._port.send_message("sync_time", {"sync_counter": counter, **time})
             return
         latched = self._latched
         if (
             latched is None
             or latched[0] != counter
-            or now_ns - latched[1] > SYNC_VALID_NS
+            or last_bit_ns - latched[1] > SYNC_VALID_NS
             or unit.mode not in TIME_MODES
         ):
             self._syncs_ignored += 1
             return
-        time = CucTime(int(fields["seconds"]), round(fields["fraction"] * FRACTION_PER_S))
         unit.supersede_time()
-        unit.time.prepare(time, latched[1])
+        at_sync = CucTime(int(fields["seconds"]), round(fields["fraction"] * FRACTION_PER_S))
+        unit.time.prepare(at_sync, latched[1])
 
     def frame_ignored(self) -> None:
         self._syncs_ignored += 1
@@ -152,14 +154,7 @@ class CanServices:
             self._unit.later(REPORT_INTERVAL_NS, self._report_failures)
 
     def packets_lost(self, reason: TransferFailure, packets: int) -> None:
-        # Behind the packet that got through: its sender is still at work.
-        event = partial(
-            self._unit.raise_event,
-            EventId.CAN_PACKETS_LOST,
-            reason=int(reason),
-            packets=saturated(packets, 16),
-        )
-        self._unit.later(0, event)
+        self._unit.raise_event(EventId.CAN_PACKETS_LOST, reason=int(reason), packets=saturated(packets, 16))
 
     def state_changed(self, before: CanState, now: CanState) -> None:
         unit, bus = self._unit, self._port.bus

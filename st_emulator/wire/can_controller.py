@@ -68,8 +68,8 @@ _BITS_CUT_OFF = {
 
 
 def failed_attempt_ns(frame: CanFrame, error: BusError, own: bool, bitrate: int, data_bitrate: int) -> int:
-    """The time (ns) that an attempt ended by ``error`` occupies the bus: what there was of the frame, the error
-    frame and the intermission. A sender sees stuff errors in arbitration only.
+    """The time (ns) that an attempt ended by ``error`` occupies the bus: what there was of the frame, the
+    error frame and the intermission. A sender sees stuff errors in arbitration only.
     """
     behind = ERROR_FRAME_BITS + INTERMISSION_BITS
     if own and error is BusError.STUFF:

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from ..clock import ScheduledEvent, VirtualClock
-from ..protocol.can_bits import frame_duration_ns
+from ..protocol.can_bits import INTERMISSION_BITS, bits_duration_ns, frame_duration_ns
 from ..protocol.can_frames import CanFrame, RecordDecoder, encode_record
 from ..protocol.can_messages import TELECOMMAND, CanIdentifiers, decode_can_message, encode_can_message
 from ..protocol.can_transport import (
-    FrameIgnored,
     IsoTpConnection,
     IsoTpEvent,
     IsoTpSettings,
     PduReceived,
     PduSent,
-    ReceptionFailed,
     TransmissionFailed,
 )
 from ..protocol.enumerations import CanState, TransferFailure
@@ -31,7 +29,7 @@ from .port import CanObserver, PortClient
 FLOW_CONTROL = 3  # ISO 15765-2 table 9: high nibble of the first byte
 FIRST_FRAME = 1
 FROM_OBC = ("sync", "time_at_sync")
-RECEIVER_GONE = (TransferFailure.TIMEOUT_A, TransferFailure.TIMEOUT_BS)
+RECEIVER_GONE = (TransferFailure.TIMEOUT_A, TransferFailure.TIMEOUT_BS, TransferFailure.WAIT_LIMIT)
 
 
 @dataclass(frozen=True)
@@ -50,6 +48,11 @@ class CanPortSettings:
     def frame_bytes(self) -> int:
         """Data bytes of a full frame of a packet."""
         return 64 if self.fd else 8
+
+    @property
+    def single_frame_bytes(self) -> int:
+        """The longest packet that is a single frame: no flow control answers it."""
+        return self.frame_bytes - (2 if self.fd else 1)
 
     def transport(self) -> IsoTpSettings:
         """The unit's end of the connection."""
@@ -75,23 +78,36 @@ class CanPortCounters:
 
     cyclic_overruns: int = 0
     packets_lost: int = 0
+    malformed_records: int = 0
 
 
-@dataclass
-class _Handles:
-    """Frames in the controller that may have to be taken back."""
+@dataclass(frozen=True, slots=True)
+class _Packet:
+    """``reports``: it is the event that tells of so many lost packets."""
 
-    data: int | None = None
-    flow_control: int | None = None
-    cyclic: dict[str, int] = field(default_factory=dict)
+    data: bytes
+    queued_ns: int
+    reports: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class _HandedOver:
+    """A frame of a packet that the controller has. ``given_up``: its transfer is over without it."""
+
+    frame: CanFrame
+    handle: int = 0
+    given_up: bool = False
 
 
 class CanPort:
     """The unit's CAN port (see :class:`~st_emulator.wire.port.UnitPort`).
 
-    Packets wait for the receiver's flow control. When none comes within N_Bs, or the controller does not get
-    a frame out within N_As, there is no receiver: the packet under way is lost, and so are those that have
-    waited for longer than that, so that an OBC that comes back does not read old telemetry first.
+    Packets wait for the receiver's flow control. When none comes within N_Bs, or nothing but WAIT, or the
+    controller does not get a frame out within N_As, there is no receiver: the packet under way is lost, and
+    so are those that have waited for longer than that, so that an OBC that comes back does not read old
+    telemetry first.
+
+    The unit's receiver is off from :meth:`restart` to :meth:`listen`.
 
     Args:
         clock: the virtual clock.
@@ -127,13 +143,20 @@ class CanPort:
             disturbance=disturbance,
         )
         self.counters = CanPortCounters()
-        self._queue: deque[tuple[bytes, int]] = deque()
+        self._queue: deque[_Packet] = deque()
         self._waiting_bytes = 0
+        self._under_way: _Packet | None = None
         self._under_way_bytes = 0
-        self._handles = _Handles()
+        self._handed_over: list[_HandedOver] = []
+        self._cyclic: dict[str, list[int]] = {}  # in the controller
         self._timer: ScheduledEvent | None = None
         self._lost = 0
         self._lost_reason = TransferFailure.TIMEOUT_BS
+        self._reporting = 0
+        self._heard = False  # the OBC, since the last failure
+        self._intermission_ns = 0
+        if not settings.bus.hardware:  # the modelled bus gives a frame to its receivers behind it
+            self._intermission_ns = bits_duration_ns(INTERMISSION_BITS, settings.bus.bitrate)
         full = CanFrame(
             settings.identifiers.telemetry,
             bytes(range(1, settings.frame_bytes + 1)),
@@ -155,9 +178,11 @@ class CanPort:
         return self._waiting_bytes + self._under_way_bytes
 
     def queue(self, packet: bytes, limit_bytes: int) -> int:
+        reports, self._reporting = self._reporting, 0
         if self.queued_bytes + len(packet) > limit_bytes:
+            self._lost += reports
             return 0
-        self._queue.append((packet, self._clock.now_ns))
+        self._queue.append(_Packet(packet, self._clock.now_ns, reports))
         self._waiting_bytes += len(packet)
         self._pump()
         return len(packet)
@@ -166,32 +191,44 @@ class CanPort:
         return -(-count // (self.settings.frame_bytes - 1)) * self._frame_ns
 
     def restart(self) -> None:
+        self.bus.listening = False
         self.bus.reset()
         self.connection.reset()
         self._queue.clear()
         self._waiting_bytes = self._under_way_bytes = self._lost = 0
-        self._handles = _Handles()
-        self._schedule()
+        self._under_way = None
+        self._handed_over.clear()
+        self._cyclic.clear()
+
+    def listen(self) -> None:
+        """The unit has started: frames of other nodes are received from now on."""
+        self.bus.listening = True
 
     def arrive(self, data: bytes) -> None:
         for frame in self._decoder.receive(data):
             self.bus.arrive(frame)
+        if self._decoder.incomplete:  # a link brings whole records: what follows starts with one
+            self._decoder.reset()
+        self.counters.malformed_records = self._decoder.malformed
 
     # -- cyclic frames
     # ---------------------------------------------------------------------------------------------
 
     def send_message(self, name: str, fields: Mapping[str, Any]) -> None:
         """Send a cyclic frame. One of the same name that still waits is replaced by it, and counted."""
-        pending = self._handles.cyclic.pop(name, None)
-        if pending is not None and self.bus.cancel(pending):
+        handles = self._cyclic.setdefault(name, [])
+        for pending in [handle for handle in handles if self.bus.cancel(handle)]:
+            handles.remove(pending)
             self.counters.cyclic_overruns += 1
         identifiers = self.settings.identifiers
         frame = CanFrame(identifiers.identifier(name), encode_can_message(name, fields), identifiers.extended)
-        handle = self.bus.send(frame, partial(self._message_sent, name))
-        self._handles.cyclic[name] = handle
+        # One that is on the wire now stays in the list: an error may bring it back among those that wait. The
+        # first of the list leaves first.
+        handles.append(self.bus.send(frame, partial(self._message_sent, handles)))
 
-    def _message_sent(self, name: str) -> None:
-        self._handles.cyclic.pop(name, None)
+    @staticmethod
+    def _message_sent(handles: list[int]) -> None:
+        del handles[0]
 
     # -- frames in
     # -------------------------------------------------------------------------------------------------
@@ -210,7 +247,8 @@ class CanPort:
             if fields is None:
                 self._observer.frame_ignored()
             else:
-                self._observer.message_received(name, fields)
+                last_bit_ns = max(self._clock.now_ns - self._intermission_ns, 0)
+                self._observer.message_received(name, fields, last_bit_ns)
 
     def _state_changed(self, before: CanState, now: CanState) -> None:
         if self._observer is not None and not self._client.silent:
@@ -223,85 +261,91 @@ class CanPort:
         """Hand over what may go out now and wait for what comes next."""
         now_ns = self._clock.now_ns
         connection = self.connection
+        self._take_back()
         while True:
             if not connection.sending and self._queue:
-                packet, _ = self._queue.popleft()
-                self._waiting_bytes -= len(packet)
-                self._under_way_bytes = len(packet)
-                connection.send(packet, now_ns)
+                packet = self._under_way = self._queue.popleft()
+                self._waiting_bytes -= len(packet.data)
+                self._under_way_bytes = len(packet.data)
+                connection.send(packet.data, now_ns)
             frame = connection.next_frame(now_ns)
             if frame is None:
                 break
-            handle = self.bus.send(frame, partial(self._frame_sent, frame))
-            if frame.data[0] >> 4 == FLOW_CONTROL:
-                self._handles.flow_control = handle
-            else:
-                self._handles.data = handle
+            handed_over = _HandedOver(frame)
+            handed_over.handle = self.bus.send(frame, partial(self._frame_sent, handed_over))
+            self._handed_over.append(handed_over)
         self._schedule()
 
+    def _take_back(self) -> None:
+        """A frame whose transfer was given up must not go out later."""
+        if not self._handed_over:
+            return
+        awaited = self.connection.unconfirmed
+        for item in list(self._handed_over):
+            if item.given_up or not any(item.frame is frame for frame in awaited):
+                item.given_up = True  # one on the wire ends there, and nobody asks
+                if self.bus.cancel(item.handle):
+                    self._handed_over.remove(item)
+
     def _schedule(self) -> None:
+        """Wake up at the next deadline. A timer that is too early stays: deadlines move with each frame."""
         due_ns = self.connection.next_deadline_ns()
+        if due_ns is None or (self._timer is not None and self._timer.at_ns <= due_ns):
+            return
         if self._timer is not None:
-            if due_ns == self._timer.at_ns and not self._timer.cancelled:
-                return
             self._timer.cancel()
-            self._timer = None
-        if due_ns is not None:
-            self._timer = self._clock.at(max(due_ns, self._clock.now_ns), self._timer_due)
+        self._timer = self._clock.at(max(due_ns, self._clock.now_ns), self._timer_due)
 
     def _timer_due(self) -> None:
         self._timer = None
         self._handle(self.connection.poll(self._clock.now_ns))
         self._pump()
 
-    def _frame_sent(self, frame: CanFrame) -> None:
-        kind = frame.data[0] >> 4
-        if kind == FLOW_CONTROL:
-            self._handles.flow_control = None
-        else:
-            self._handles.data = None
-            payload = len(frame.data) - (2 if kind == FIRST_FRAME else 1)
-            self._under_way_bytes = max(self._under_way_bytes - payload, 0)
-        self._handle(self.connection.confirmed(frame, self._clock.now_ns))
+    def _frame_sent(self, item: _HandedOver) -> None:
+        self._handed_over.remove(item)
+        if not item.given_up:
+            kind = item.frame.data[0] >> 4
+            if kind != FLOW_CONTROL:
+                payload = len(item.frame.data) - (2 if kind == FIRST_FRAME else 1)
+                self._under_way_bytes = max(self._under_way_bytes - payload, 0)
+            self._handle(self.connection.confirmed(item.frame, self._clock.now_ns))
         self._pump()
 
     def _handle(self, events: list[IsoTpEvent]) -> None:
         for event in events:
             if isinstance(event, PduReceived):
+                self._heard = True
                 if self._client.listening:
                     self._client.packet_received(event.data)
             elif isinstance(event, PduSent):
+                self._under_way = None
                 self._under_way_bytes = 0
-                self._report_lost()
+                # A single frame alone does not show that anybody takes packets.
+                if self._heard or event.length > self.settings.single_frame_bytes:
+                    self._report_lost()
             elif isinstance(event, TransmissionFailed):
                 self._transmission_failed(event.reason)
-            elif isinstance(event, (ReceptionFailed, FrameIgnored)):
-                self._take_back(self._handles.flow_control, event.reason)
-                if self._observer is not None and self._client.listening:
-                    self._observer.transfer_failed(event.reason)
-
-    def _take_back(self, handle: int | None, reason: TransferFailure) -> None:
-        """A frame that the controller could not send in time must not go out later."""
-        if handle is not None and reason == TransferFailure.TIMEOUT_A:
-            self.bus.cancel(handle)
+            elif self._observer is not None and self._client.listening:
+                self._observer.transfer_failed(event.reason)
 
     def _transmission_failed(self, reason: TransferFailure) -> None:
-        self._take_back(self._handles.data, reason)
-        self._handles.data = None
+        lost = [] if self._under_way is None else [self._under_way]
+        self._under_way = None
         self._under_way_bytes = 0
-        lost = 1
         if reason in RECEIVER_GONE:
+            self._heard = False
             oldest_ns = self._clock.now_ns - self.settings.timeout_ns
-            while self._queue and self._queue[0][1] <= oldest_ns:
-                packet, _ = self._queue.popleft()
-                self._waiting_bytes -= len(packet)
-                lost += 1
-        if not self._lost:
+            while self._queue and self._queue[0].queued_ns <= oldest_ns:
+                lost.append(self._queue.popleft())
+                self._waiting_bytes -= len(lost[-1].data)
+        reported = sum(packet.reports for packet in lost)  # in vain
+        if not self._lost and not reported:
             self._lost_reason = reason
-        self._lost += lost
-        self.counters.packets_lost += lost
+        self._lost += len(lost) + reported
+        self.counters.packets_lost += len(lost)
 
     def _report_lost(self) -> None:
         if self._lost and self._observer is not None:
-            lost, self._lost = self._lost, 0
-            self._observer.packets_lost(self._lost_reason, lost)
+            self._reporting, self._lost = self._lost, 0
+            self._observer.packets_lost(self._lost_reason, self._reporting)
+            self._reporting = 0  # nobody wants to know

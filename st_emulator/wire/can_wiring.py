@@ -23,16 +23,17 @@ class CanWiring:
 
     def port_settings(self, unit: CanSection) -> CanPortSettings:
         """The settings of the port of a unit whose file has the section ``unit``."""
+        bitrate = self.bitrate or unit.bitrate
         return CanPortSettings(
             identifiers=unit.identifier_table(self.node),
             bus=CanBusSettings(
-                bitrate=self.bitrate or unit.bitrate,
-                data_bitrate=unit.data_bitrate,
+                bitrate=bitrate,
+                data_bitrate=max(unit.data_bitrate, bitrate),
                 hardware=self.hardware,
                 bus_off_restart_ms=unit.bus_off_restart_ms,
             ),
             fd=self.fd,
-            padding=None if unit.padding < 0 else unit.padding,
+            padding=unit.padding_byte,
             block_size=unit.block_size,
             separation_time_us=unit.separation_time_us,
             timeout_ns=unit.timeout_ms * NS_PER_MS,

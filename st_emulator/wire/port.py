@@ -32,8 +32,10 @@ class PortClient(Protocol):
 class CanObserver(Protocol):
     """What a CAN port tells beyond packets."""
 
-    def message_received(self, name: str, fields: Mapping[str, Any]) -> None:
-        """A frame of the OBC that is no part of a packet (SYNC and its time); its last bit is in."""
+    def message_received(self, name: str, fields: Mapping[str, Any], last_bit_ns: int) -> None:
+        """A frame of the OBC that is no part of a packet (SYNC and its time); its last bit came in at the
+        virtual time ``last_bit_ns``.
+        """
 
     def frame_ignored(self) -> None:
         """A frame on an identifier of :meth:`message_received` whose length is wrong."""
@@ -42,7 +44,9 @@ class CanObserver(Protocol):
         """A reception failed or a frame of one was ignored."""
 
     def packets_lost(self, reason: TransferFailure, packets: int) -> None:
-        """The receiver takes packets again; so many were lost before."""
+        """The receiver takes packets again; so many were lost before. What is queued first during this call
+        is the report: if it is lost as well, the next one counts the same packets again.
+        """
 
     def state_changed(self, before: CanState, now: CanState) -> None:
         """The controller's state of fault confinement."""
