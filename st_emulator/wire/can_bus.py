@@ -136,7 +136,6 @@ class CanBus:
         self._occupied_ns: dict[int, int] = {}  # by second
 
     # -- state
-    # --------------------------------------------------------------------------------------------------
 
     @property
     def state(self) -> CanState:
@@ -163,7 +162,6 @@ class CanBus:
         return min((busy_ns * 1000 + NS_PER_S // 2) // NS_PER_S, 1000)
 
     # -- frames in and out
-    # --------------------------------------------------------------------------------------
 
     def send(self, frame: CanFrame, on_sent: Callable[[], None] = _nothing) -> int:
         """Give a frame to the controller; ``on_sent`` is called when the link has it and its bits are over.
@@ -199,9 +197,7 @@ class CanBus:
         if frame.error:
             self._told(frame)
         elif self.settings.hardware:
-            if (
-                self._state is CanState.BUS_OFF
-            ):  # its message was lost: a controller in bus-off receives nothing
+            if self._state is CanState.BUS_OFF:  # a controller in bus-off receives nothing: it is back
                 self._faults.reset()
                 self._follow_faults()
             self._occupy(self._clock.now_ns, self._duration_ns(frame))
@@ -230,7 +226,6 @@ class CanBus:
         self._state = CanState.ERROR_ACTIVE
 
     # -- the bus
-    # ------------------------------------------------------------------------------------------------
 
     def _duration_ns(self, frame: CanFrame) -> int:
         return frame_duration_ns(frame, self.settings.bitrate, self.settings.data_bitrate)
@@ -330,7 +325,6 @@ class CanBus:
             self._left(pending)
 
     # -- the link
-    # -----------------------------------------------------------------------------------------------
 
     def _handed_over(self, pending: _Pending) -> bool:
         if self._transmit(pending.frame):
@@ -364,7 +358,6 @@ class CanBus:
             self._retry = None
 
     # -- faults
-    # ------------------------------------------------------------------------------------------------
 
     def _told(self, message: CanFrame) -> None:
         self.counters.error_frames += 1
