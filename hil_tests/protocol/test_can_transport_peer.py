@@ -147,7 +147,7 @@ def pattern(length: int) -> bytes:
 
 
 def check(packets: list[bytes], **choices: object) -> None:
-    """Each packet there, then each back; the frames of both directions have the same content, byte by byte."""
+    """Each packet there, then each back; the frames of both directions are the same, byte by byte."""
     ours, peer, bus = both(**choices)
     until_ns = 36_000 * S
     ours.to_send.extend(packets)
