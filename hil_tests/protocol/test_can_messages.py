@@ -1,4 +1,4 @@
-"""Cyclic frames and identifiers, against golden frames written by hand and a second codec of whole numbers."""
+"""Cyclic frames and identifiers, against golden frames by hand and a second codec of whole numbers."""
 
 from __future__ import annotations
 
