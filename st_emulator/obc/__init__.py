@@ -15,27 +15,40 @@ from st_emulator.protocol.errors import LocalProtocolError
 from st_emulator.protocol.packets import CucTime, Telemetry
 
 from .attitude import Attitude
+from .bus import SyncSent
+from .can_transport import CanSettings, CanTransport
 from .client import Obc
+from .counters import CanCounters, Counters
+from .cyclic import CyclicAttitude, CyclicFrame
 from .errors import (
     DownloadError,
+    NoBusError,
     ObcError,
     RecordingError,
+    TelecommandNotDelivered,
     TelecommandTimeout,
     TelemetryTimeout,
+    UnitNotChosenError,
     VerificationError,
 )
 from .exchange import Received
 from .image import Image
-from .obc_protocol import Counters, ObcProtocol
+from .obc_protocol import ObcProtocol
 from .observed import Event
 from .reading import LiveReader, SteppedReader
 from .recorder import RecordedTelemetry, Recorder, read_recording
+from .transport import SlipTransport, Transport
 from .verification import State, Verification
 
 __all__ = [
     "Attitude",
+    "CanCounters",
+    "CanSettings",
+    "CanTransport",
     "Counters",
     "CucTime",
+    "CyclicAttitude",
+    "CyclicFrame",
     "DownloadError",
     "Event",
     "FailureCode",
@@ -44,6 +57,7 @@ __all__ = [
     "LiveReader",
     "LocalProtocolError",
     "Mode",
+    "NoBusError",
     "Obc",
     "ObcError",
     "ObcProtocol",
@@ -52,11 +66,16 @@ __all__ = [
     "RecordedTelemetry",
     "Recorder",
     "RecordingError",
+    "SlipTransport",
     "State",
     "SteppedReader",
+    "SyncSent",
+    "TelecommandNotDelivered",
     "TelecommandTimeout",
     "Telemetry",
     "TelemetryTimeout",
+    "Transport",
+    "UnitNotChosenError",
     "Verification",
     "VerificationError",
     "read_recording",

@@ -66,16 +66,21 @@ class Attitude:
 
     @property
     def pointing_deg(self) -> tuple[float, float, float]:
-        """Right ascension and declination of the boresight, roll (position angle of image up, -Y), degrees.
+        """As of `pointing_deg` below."""
+        return pointing_deg(self.q_icrs_to_sensor)
 
-        The rows of A(q) are the sensor's axes in ICRS. Roll counts from north through east, 0 to 360.
-        """
-        x, y, z, w = self.q_icrs_to_sensor
-        boresight = np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
-        up = -np.array([2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)])
-        ra = np.arctan2(boresight[1], boresight[0])
-        dec = np.arctan2(boresight[2], np.hypot(boresight[0], boresight[1]))
-        east = np.array([-np.sin(ra), np.cos(ra), 0.0])
-        north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
-        roll = np.arctan2(up @ east, up @ north)
-        return float(np.degrees(ra) % 360.0), float(np.degrees(dec)), float(np.degrees(roll) % 360.0)
+
+def pointing_deg(q_icrs_to_sensor: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Right ascension and declination of the boresight, roll (position angle of image up, -Y), degrees.
+
+    The rows of A(q) are the sensor's axes in ICRS. Roll counts from north through east, 0 to 360.
+    """
+    x, y, z, w = q_icrs_to_sensor
+    boresight = np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
+    up = -np.array([2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)])
+    ra = np.arctan2(boresight[1], boresight[0])
+    dec = np.arctan2(boresight[2], np.hypot(boresight[0], boresight[1]))
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    roll = np.arctan2(up @ east, up @ north)
+    return float(np.degrees(ra) % 360.0), float(np.degrees(dec)), float(np.degrees(roll) % 360.0)

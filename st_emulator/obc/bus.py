@@ -106,9 +106,12 @@ class BusExchange(Exchange):
     def send_frame(self, frame: CanFrame) -> int:
         """Put any frame on the bus; the OBC's time at which the link took it.
 
-        LinkError when it does not take it in time (the bus is off, or nobody acknowledges).
+        LinkError when it does not take it in time (the bus is off, or nobody acknowledges), LocalProtocolError
+        for a frame that a link without CAN FD does not carry.
         """
         transport = self._bus()
+        if frame.fd and not transport.settings.fd:
+            raise LocalProtocolError("CanFrame", "fd", True, "False on a link without ,fd")
         with self._reader.lock:
             now_ns = self._reader.now_ns()
             outgoing = transport.send_frame(frame, now_ns)

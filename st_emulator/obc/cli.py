@@ -11,12 +11,13 @@ from rich.console import Console
 
 from st_emulator.errors import ConfigurationError
 from st_emulator.links import LinkError
+from st_emulator.protocol.can_messages import NODES
 from st_emulator.report import write_json
 
 from .client import Obc
-from .commands import CommandError
+from .desk import CommandError
 from .errors import RecordingError
-from .session import Session, parse_lines
+from .session import Line, Session, parse_lines
 from .shell import run_shell
 from .watching import watch
 
@@ -34,7 +35,8 @@ def obc(
         typer.Option(
             "--link",
             metavar="LINK",
-            help="`pty:PATH`, `serial:DEV[@BAUD]` or a bare path; `pty` finds the emulator that runs.",
+            help="`pty:PATH`, `serial:DEV[@BAUD]`, a bare path or `can:INTERFACE/CHANNEL[@BITRATE][,fd]`; "
+            "`pty` finds the emulator that runs.",
         ),
     ] = "pty",
     apid: Annotated[
@@ -46,7 +48,20 @@ def obc(
     unit: Annotated[
         str | None,
         typer.Option(
-            "--unit", "-u", metavar="UNIT", help="Take APID and baud rate from a unit or unit file."
+            "--unit",
+            "-u",
+            metavar="UNIT",
+            help="Take APID, rates and CAN identifiers from a unit or unit file.",
+        ),
+    ] = None,
+    node: Annotated[
+        int | None,
+        typer.Option(
+            "--node",
+            min=NODES[0],
+            max=NODES[-1],
+            help="The unit's node number on a CAN bus. Default: the unit file's, else that of the only "
+            "heartbeat.",
         ),
     ] = None,
     record: Annotated[
@@ -82,7 +97,13 @@ def obc(
     output = Console(stderr=json_path == "-", soft_wrap=True, highlight=False, markup=False)
     errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
     try:
-        held = _run(connect, output, errors, link, apid, unit, record, script, command, watching, json_path)
+        options = {} if unit is None else _unit_options(unit)
+        options |= {name: value for name, value in (("apid", apid), ("node", node)) if value is not None}
+        lines = _lines(script, command, watching)
+        with connect(link, record=record, **options) as obc:
+            session = Session(obc, output.print, lambda obc, duration_s: watch(obc, duration_s, output))
+            held = run_shell(session, errors.print) if lines is None else session.run_all(lines, errors.print)
+            write_json(json_path, session.figures(), session.checks)
     except (ConfigurationError, LinkError, RecordingError, CommandError) as error:
         errors.print(f"st-emulator obc: {error}")
         raise typer.Exit(2) from None
@@ -92,46 +113,23 @@ def obc(
     raise typer.Exit(0 if held else 1)
 
 
-def _run(
-    connect: Connect,
-    output: Console,
-    errors: Console,
-    link: str,
-    apid: int | None,
-    unit: str | None,
-    record: Path | None,
-    script: Path | None,
-    command: list[str] | None,
-    watching: bool,
-    json_path: str | None,
-) -> bool:
+def _lines(script: Path | None, command: list[str] | None, watching: bool) -> list[Line] | None:
+    """What is to be run; None: what is typed."""
     if sum((script is not None, bool(command), watching)) > 1:
         raise ConfigurationError("--script, --command and --watch exclude each other")
-    lines = []
     if script is not None:
-        lines = parse_lines(_script_lines(script), f"{script}, line")
-    elif command:
-        lines = parse_lines(command, "command")
-    options: dict[str, Any] = {} if unit is None else _unit_options(unit)
-    if apid is not None:
-        options["apid"] = apid
-    with connect(link, record=record, **options) as obc:
-        session = Session(obc, output.print, lambda obc, duration_s: watch(obc, duration_s, output))
-        if watching:
-            held = session.run_all(parse_lines(["watch"], "--watch, line"), errors.print)
-        elif lines or script is not None:
-            held = session.run_all(lines, errors.print)
-        else:
-            held = run_shell(session, errors.print)
-        write_json(json_path, session.figures(), session.checks)
-    return held
+        return parse_lines(_script_lines(script), f"{script}, line")
+    if command:
+        return parse_lines(command, "command")
+    return parse_lines(["watch"], "--watch, line") if watching else None
 
 
 def _unit_options(unit: str) -> dict[str, Any]:
     from st_emulator.profile import load_unit
 
     profile = load_unit(unit)
-    return {"apid": profile.apid, "baud": profile.wire.baud, "source_id": profile.wire.source_id}
+    wire = profile.wire
+    return {"unit": unit, "apid": wire.apid, "baud": wire.baud, "source_id": wire.source_id}
 
 
 def _script_lines(script: Path) -> list[str]:

@@ -28,41 +28,19 @@ from st_emulator.protocol.fields import Field
 from st_emulator.protocol.housekeeping import HOUSEKEEPING
 from st_emulator.protocol.parameters import PARAMETERS
 from st_emulator.protocol.registry import REGISTRY
-from st_emulator.report import Check
 from st_emulator.tai import tai_ns_from_utc
 
-from .client import Obc
+from .bus_commands import BUS_WORDS
+from .desk import Action, Arguments, CommandError, Desk, NotHeldError, number, octets, whole
 from .errors import VerificationError
 from .expectations import FORMS, OPERATORS, parse_expectation
 from .image_file import IMAGE_SUFFIXES, write_image
 from .verification import Verification
-from .watching import attitude_line, watch
+from .watching import attitude_line
 
 SHOWN_EVENTS = 20
 ACQUIRE_TIMEOUT_S = 30.0
 LONG_TIMEOUT_S = 30.0
-
-
-class CommandError(Exception):
-    """A line that is no command; one line that says what is wrong and what is allowed."""
-
-
-class NotHeldError(Exception):
-    """What a command was to see did not hold."""
-
-
-@dataclass
-class Desk:
-    """What a command works on: the OBC, a way to tell the user, and the checks made so far."""
-
-    obc: Obc
-    say: Callable[[str], None]
-    checks: list[Check]
-    watch: Callable[[Obc, float | None], None] = watch
-
-
-Action = Callable[[Desk], None]
-Arguments = Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -102,36 +80,6 @@ def _parse_words(words: Sequence[str]) -> Action:
         return command.parse(arguments)
     except ValueError as error:
         raise CommandError(f"{name}: {error}") from None
-
-
-def number(text: str, what: str, low: float, high: float) -> float:
-    """A number in a range; ValueError says so."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not low <= value <= high:
-        raise ValueError(f"{what} is {text!r}; allowed are {low:g} to {high:g}")
-    return value
-
-
-def whole(text: str, what: str, low: int, high: int) -> int:
-    """A whole number in a range, also as 0x..; ValueError says so."""
-    try:
-        value = int(text, 0)
-    except ValueError:
-        value = low - 1
-    if not low <= value <= high:
-        raise ValueError(f"{what} is {text!r}; allowed are {low} to {high}")
-    return value
-
-
-def octets(text: str) -> bytes:
-    """Octets from hexadecimal text; ValueError says so."""
-    try:
-        return bytes.fromhex(text)
-    except ValueError:
-        raise ValueError(f"{text!r} is no hexadecimal text of whole octets") from None
 
 
 def _seconds(arguments: Arguments, index: int, default: float) -> float:
@@ -475,7 +423,8 @@ _COMMANDS = (
     Command("check", "MEMORY ADDRESS LENGTH", "checksum of memory", 3, 3, _check),
     Command("send", "TELECOMMAND [FIELD=VALUE ...]", "any telecommand by name", 1, None, _send),
     Command("raw", "HEX ...", "put octets on the wire as they are", 1, None, _raw(False)),
-    Command("frame", "HEX ...", "put octets on the wire as one SLIP frame", 1, None, _raw(True)),
+    Command("frame", "HEX ...", "put octets on the wire as one packet", 1, None, _raw(True)),
+    *(Command(*word) for word in BUS_WORDS),
     Command("counters", "", "what this OBC has sent and received", 0, 0, _counters),
     Command("watch", "[SECONDS]", "live view, until Ctrl-C or for SECONDS", 0, 1, _watch),
     Command("wait", "SECONDS", "let time pass", 1, 1, _wait),

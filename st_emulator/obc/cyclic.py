@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from st_emulator.protocol.enumerations import Reason
 from st_emulator.protocol.packets import CucTime
 
+from .attitude import pointing_deg
 from .transport import CyclicReceived
 
 KEPT_FRAMES = 50_000
@@ -56,6 +57,11 @@ class CyclicAttitude:
     status: Mapping[str, Any] | None
     rates: Mapping[str, Any] | None
     mid_exposure: Mapping[str, Any] | None
+
+    @property
+    def pointing_deg(self) -> tuple[float, float, float]:
+        """Right ascension, declination and roll of the boresight, degrees."""
+        return pointing_deg(self.q_icrs_to_sensor)
 
     @property
     def valid(self) -> bool | None:

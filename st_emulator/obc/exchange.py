@@ -378,12 +378,15 @@ class Exchange:
         for event in events:
             if isinstance(event, TelemetryReceived):
                 self._received.append(Received(self._count(), event.telemetry, event.time_ns))
-                self.unit.take(event.telemetry, event.time_ns)
+                told = self.unit.take(event.telemetry, event.time_ns)
+                if told is not None and told.id == EventId.BOOT_COMPLETED:
+                    self.cyclic_log.attitudes.restart()
                 if self._recorder is not None:
                     self._recorder.telemetry(event.telemetry, event.time_ns)
                 continue
             if isinstance(event, CyclicReceived):
                 self.cyclic_log.take(self._count(), event)
+                self.unit.take_cyclic(event.name, event.values)
             if self._recorder is not None:
                 self._recorder.event(event)
 

@@ -18,7 +18,7 @@ from st_emulator.tai import seconds
 
 from .attitude import Attitude
 from .client import Obc
-from .obc_protocol import Counters
+from .counters import CanCounters
 from .verification import NS_PER_S
 
 OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
@@ -106,14 +106,21 @@ def quantity_called(name: str) -> Quantity:
             name, by_name[field_name].unit, None, lambda obc: obc.parameters([field_name])[field_name]
         )
     if group == "counters":
-        _require(group, field_name, [entry.name for entry in fields(Counters)])
-        return Quantity(name, "", None, lambda obc: int(getattr(obc.counters, field_name)))
+        _require(group, field_name, [entry.name for entry in fields(CanCounters)])
+        return Quantity(name, "", None, lambda obc: _counter(obc, field_name))
     for structure in HOUSEKEEPING_TABLE:
         if group == structure.name.lower():
             _require(group, field_name, [element.name for element in structure.fields])
             element = _field(structure.fields, field_name)
             return Quantity(name, element.unit, element, _housekeeping(structure.id, field_name))
     raise ValueError(f"{name!r} is nothing to expect; allowed are {FORMS}")
+
+
+def _counter(obc: Obc, name: str) -> int:
+    counts = obc.counters.as_dict()
+    if name not in counts:
+        raise ValueError(f"{obc.link.name} is no CAN bus: it does not count {name}")
+    return counts[name]
 
 
 def _housekeeping(structure: HousekeepingId, field_name: str) -> Callable[[Obc], float | int]:

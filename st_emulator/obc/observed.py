@@ -75,6 +75,11 @@ class ObservedUnit:
             return event
         return None
 
+    def take_cyclic(self, name: str, values: Mapping[str, Any]) -> None:
+        """Take a cyclic frame into account: a heartbeat tells the mode as long as no telemetry has."""
+        if name == "heartbeat" and self.mode is None:
+            self._set_mode(int(values["mode"]), None)
+
     def _take_attitude(self, attitude: Attitude) -> None:
         self.attitudes.append(attitude)
         self.frames_by_mode[int(attitude.mode)] = self.frames_by_mode.get(int(attitude.mode), 0) + 1

@@ -11,7 +11,8 @@ from st_emulator.protocol.errors import ProtocolError
 from st_emulator.report import Check
 
 from .client import Obc
-from .commands import Action, CommandError, Desk, NotHeldError, parse_line, words_of
+from .commands import parse_line, words_of
+from .desk import Action, CommandError, Desk, NotHeldError
 from .errors import ObcError
 from .expectations import mode_text
 
@@ -89,6 +90,7 @@ class Session:
         """The run in figures, for JSON."""
         return {
             "link": self.obc.link.name,
+            **self.obc.transport.description,
             "apid": self.obc.destination_apid,
             "mode": mode_text(self.obc.unit.mode),
             "commands": [

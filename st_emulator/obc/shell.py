@@ -12,7 +12,9 @@ from st_emulator.links import LinkError
 from st_emulator.protocol.enumerations import EventId, HousekeepingId, MemoryId, Mode, ParameterId
 from st_emulator.protocol.registry import REGISTRY
 
-from .commands import COMMANDS, CommandError, parse_line
+from .bus import CYCLIC_NAMES
+from .commands import COMMANDS, parse_line
+from .desk import CommandError
 from .session import Line, Session
 
 PROMPT = "obc> "
@@ -27,6 +29,7 @@ _WORDS: dict[str, list[str]] = {
     "dump": [name.lower() for name in MemoryId.__members__],
     "load": [name.lower() for name in MemoryId.__members__],
     "check": [name.lower() for name in MemoryId.__members__],
+    "cyclic": [*CYCLIC_NAMES, "attitude"],
     "send": [message.name for message in REGISTRY.telecommands()],
     "help": list(COMMANDS),
 }

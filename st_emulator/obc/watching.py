@@ -12,6 +12,7 @@ from st_emulator.tai import seconds, utc_from_cuc
 
 from .attitude import Attitude
 from .client import Obc
+from .counters import CanCounters
 
 REFRESH_S = 0.25
 SHOWN_EVENTS = 6
@@ -32,7 +33,9 @@ def attitude_line(attitude: Attitude) -> str:
 
 def live_table(obc: Obc) -> Table:
     """Mode, attitude, rate, stars, processing, counters and last events as a table of two columns."""
-    table = Table(title=f"{obc.link.name}, APID 0x{obc.destination_apid:X}", title_justify="left", box=None)
+    whom = [f"{name} {value}" for name, value in obc.transport.description.items() if value is not None]
+    title = ", ".join([obc.link.name, *whom, f"APID 0x{obc.destination_apid:X}"])
+    table = Table(title=title, title_justify="left", box=None)
     table.add_column("", style="bold", no_wrap=True)
     table.add_column("")
     unit = obc.unit
@@ -60,6 +63,18 @@ def live_table(obc: Obc) -> Table:
         f"{counters.telecommands_sent} sent, {counters.telecommands_verified} verified, "
         f"{counters.telecommands_failed} failed, {counters.telecommands_timed_out} timed out",
     )
+    if isinstance(counters, CanCounters):
+        table.add_row(
+            "CAN bus",
+            f"{counters.frames_received} frames, {counters.cyclic_frames} cyclic, "
+            f"{counters.frames_of_others} of others, {counters.error_frames} error frames",
+        )
+        failed = counters.receptions_failed + counters.transmissions_failed
+        table.add_row(
+            "transfers",
+            f"{counters.transfers_received} received, {counters.transfers_sent} sent, {failed} failed, "
+            f"{counters.transfer_frames_ignored} frames ignored",
+        )
     for event in obc.events()[-SHOWN_EVENTS:]:
         table.add_row(f"{(event.received_ns - obc.started_ns) / 1e9:.1f} s", str(event))
     return table
