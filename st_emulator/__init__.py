@@ -36,9 +36,6 @@ def _can_be_written(folder: Path) -> bool:
     return folder.is_dir() and os.access(folder, os.W_OK)
 
 
-_keep_compiled_kernels_apart()
-
-
 def _own_temporary_folder() -> Path:
     """A folder for temporary files that no other user can have put compiled code into."""
     folder = Path(tempfile.gettempdir()) / f"st-emulator-cache-{os.getuid()}"
@@ -46,3 +43,6 @@ def _own_temporary_folder() -> Path:
     status = folder.lstat()
     mine = folder.is_dir() and not folder.is_symlink() and status.st_uid == os.getuid()
     return folder if mine and not status.st_mode & 0o022 else Path(tempfile.mkdtemp(prefix="st-emulator-"))
+
+
+_keep_compiled_kernels_apart()
