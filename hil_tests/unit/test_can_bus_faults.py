@@ -149,8 +149,8 @@ def test_bus_off_and_recovery() -> None:
         (back_us * US, OFF, ACTIVE),
     ]
     assert [(at_ns // US, frame) for at_ns, _, frame in bench.seen("sent")] == [
-        (back_us + 112, other),
-        (back_us + 112 + BITS, FRAME),
+        (back_us + BITS, other),
+        (back_us + 2 * BITS, FRAME),
     ]
     assert bench.bus.transmit_error_count == bench.bus.receive_error_count == 0
     counters = bench.bus.counters
