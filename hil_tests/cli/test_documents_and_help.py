@@ -16,6 +16,7 @@ DOCUMENTS = {
     "icd": "interface_control_document.md",
     "scenario-schema": "scenario.schema.json",
     "unit-schema": "unit.schema.json",
+    "dbc": "units.dbc",
 }
 
 
@@ -99,10 +100,11 @@ TEACHES = {
     ("replay",): ("--journal", "--write", "--json", "byte by byte"),
     ("units",): ("--json",),
     ("prepare",): ("Compile",),
-    ("export",): ("icd", "scenario-schema", "unit-schema"),
+    ("export",): ("icd", "scenario-schema", "unit-schema", "dbc"),
     ("export", "icd"): ("--out", "--check", "status 2"),
     ("export", "scenario-schema"): ("--out", "--check"),
     ("export", "unit-schema"): ("--out", "--check"),
+    ("export", "dbc"): ("UNIT[:NODE]", "--output", "--fd", "--check", "docs/units.dbc", "standard output"),
     ("obc",): ("--link", "--apid", "--script", "--record", "--watch", "--json", "Exit status"),
 }
 

@@ -59,12 +59,71 @@ UNIT_ERRORS = {
         changed("exposure_ms =", "exposure_ms = 300.0"),
         ("timing.exposure_ms", "found 300.0", "from 0.1 to 250"),
     ),
+    "CAN node": (changed("node =", "node = 128"), ("can.node", "found 128", "whole number from 1 to 127")),
+    "identifier width": (
+        changed("identifier_bits =", "identifier_bits = 12"),
+        ("can.identifier_bits", "found 12", "one of 11, 29"),
+    ),
+    "CAN padding": (changed("padding =", "padding = 256"), ("can.padding", "256", "from -1 to 255")),
+    "separation time": (
+        changed("separation_time_us =", "separation_time_us = 950"),
+        ("can.separation_time_us", "950", "100 to 900 in steps of 100", "0 to 127000"),
+    ),
+    "a fraction of a CAN period": (
+        changed("heartbeat_ms =", "heartbeat_ms = 0.5"),
+        ("can.heartbeat_ms", "found 0.5", "a whole number from 0 to 60000"),
+    ),
+    "heartbeats without end": (
+        changed("heartbeat_ms =", "heartbeat_ms = 1"),
+        ("can", "heartbeat_ms = 1", "0 (never) and 10 to 60000"),
+    ),
+    "data bit rate": (
+        changed("data_bitrate =", "data_bitrate = 500000"),
+        ("can", "data_bitrate = 500000", "bitrate = 1000000", "the same or more"),
+    ),
+    "base between the steps": (
+        changed("telecommand =", "telecommand = 0x601"),
+        ("can", "identifiers.telecommand = 0x601", "multiples of 0x80 from 0 to 0x780"),
+    ),
+    "base of 29 bits": (
+        changed("telecommand =", "telecommand = 0x1000"),
+        ("can", "identifiers.telecommand = 0x1000", "identifier_bits = 11"),
+    ),
+    "base beyond 29 bits": (
+        changed("telecommand =", "telecommand = 0x20000000"),
+        ("can.identifiers.telecommand", "found 536870912", "from 0 to 536870784"),
+    ),
+    "two frames of one base": (
+        changed("status =", "status = 0x380"),
+        ("can", "identifiers.rates and identifiers.status are both 0x380", "different"),
+    ),
+    "unknown CAN frame": (
+        changed("heartbeat =", "hartbeat = 0x700"),
+        ("can.identifiers.hartbeat", "not a known key", "telecommand, heartbeat"),
+    ),
     "true or false": (changed("pipelined =", "pipelined = 3"), ("timing.pipelined", "true or false")),
     "costs": (
         changed("cycle_costs =", 'cycle_costs = "z80"'),
         ("processor.cycle_costs", "z80", "arm926ej_s"),
     ),
 }
+
+
+def test_a_unit_file_need_not_speak_of_can():
+    before, rest = ROJA1.split("[can]")
+    unit = parse_unit(before + "[requirements]" + rest.split("[requirements]")[1], "here")
+    shipped = load_unit("roja1").can
+    assert unit.can.identifier_table() == shipped.identifier_table()
+    assert unit.can.model_copy(update={"identifiers": shipped.identifiers}) == shipped
+    assert parse_unit(changed("node =", "node = 99").replace("status = 0x480", ""), "here").can.node == 99
+
+
+def test_identifiers_of_29_bits_have_bases_of_their_own():
+    text = changed("identifier_bits =", "identifier_bits = 29").split("[can.identifiers]")[0]
+    table = parse_unit(text + "[can.identifiers]\nsync = 0x80\n", "here").can.identifier_table(5)
+    assert (table.extended, table.telecommand, table.identifier("sync")) == (True, (0x600 << 18) + 5, 0x80)
+    with pytest.raises(ConfigurationError, match=r"^CAN node 0: allowed is a whole number from 1 to 127$"):
+        load_unit("zy3").can.identifier_table(0)
 
 
 @pytest.mark.parametrize("name", UNIT_ERRORS)
