@@ -24,6 +24,13 @@ from st_emulator.protocol import (
     encode_telemetry,
     enumerations,
 )
+from st_emulator.protocol.can_messages import (
+    CAN_MESSAGES,
+    IDENTIFIER_NAMES,
+    CanIdentifiers,
+    CanMessage,
+    encode_can_message,
+)
 from st_emulator.protocol.exporters import interface_control_document
 
 TEXT = interface_control_document()
@@ -62,7 +69,14 @@ def test_it_names_everything() -> None:
         assert [str(int(code)), code.name] in [row[:2] for row in rows(section("### Failure codes"))]
     told = {row[1] for row in rows(section("## 5 Reception of telecommands"))}
     assert told >= {reason.name for reason in MalformedReason} - {"NOT_TELEMETRY"}
-    for kind in (enumerations.Mode, enumerations.Reason, enumerations.SelfTest, enumerations.TimeStatus):
+    for kind in (
+        enumerations.Mode,
+        enumerations.Reason,
+        enumerations.SelfTest,
+        enumerations.TimeStatus,
+        enumerations.CanState,
+        enumerations.TransferFailure,
+    ):
         assert [row[1] for row in rows(section(f"### {kind.__name__}"))] == [member.name for member in kind]
 
 
@@ -182,6 +196,64 @@ def test_the_places_of_arguments(entry: Any) -> None:
     message = REGISTRY.by_name("function")
     fields = {"function_id": int(entry.id), "arguments": values_of(message, int(entry.id))}
     check(message, fields, "arguments", entry.fields, grouped("### Functions")[entry.name])
+
+
+@pytest.mark.parametrize("message", CAN_MESSAGES, ids=lambda message: message.name)
+def test_the_bits_of_a_can_frame(message: CanMessage) -> None:
+    """The places in the table, one after the other, hold each signal's bits and nothing else."""
+    names = {signal.name: 0 for signal in message.carried}
+    table = rows(section(f"#### Frame {message.name}"))
+    assert [row[1].strip("`") for row in table] == [signal.name for signal in message.signals]
+    ends = 0
+    for row, signal in zip(table, message.signals, strict=True):
+        first, last = bits_of(row[0])
+        assert (first, last - first + 1) == (ends, int(row[2][1:])), row
+        ends = last + 1
+        if signal.name in names:
+            number = int.from_bytes(encode_can_message(message.name, names | {signal.name: LARGE}), "big")
+            ones = f"{number:0{8 * message.size_bytes}b}"
+            # The highest number of the type: all ones, but for the sign of a signed one.
+            expected = "1" * signal.bits if row[2][0] == "u" else "0" + "1" * (signal.bits - 1)
+            assert ones[first : last + 1] == expected, row
+            assert ones.count("1") == expected.count("1"), row
+    assert ends == 8 * message.size_bytes
+
+
+LARGE = 1e30
+
+
+def bits_of(place: str) -> tuple[int, int]:
+    """The first and the last bit of a place such as `2`, `4..7`, `2 bit 0` or `1 bit 2 .. 3 bit 3`."""
+    numbers = [int(number) for number in re.findall("[0-9]+", place)]
+    match re.sub("[0-9]+", "n", place):
+        case "n":
+            return 8 * numbers[0], 8 * numbers[0] + 7
+        case "n..n":
+            return 8 * numbers[0], 8 * numbers[1] + 7
+        case "n bit n":
+            return 8 * numbers[0] + numbers[1], 8 * numbers[0] + numbers[1]
+        case "n bits n..n":
+            return 8 * numbers[0] + numbers[1], 8 * numbers[0] + numbers[2]
+        case "n bit n .. n bit n":
+            return 8 * numbers[0] + numbers[1], 8 * numbers[2] + numbers[3]
+    raise AssertionError(place)
+
+
+def test_the_identifiers_on_the_can_bus() -> None:
+    found = {row[0].strip("`"): row[1:] for row in rows(section("### Identifiers"))}
+    own = {}
+    for extended, column in ((False, 1), (True, 2)):
+        for name, row in found.items():
+            if name != "Name":
+                base, _, node = row[column].partition(" + ")
+                own[name] = int(base, 16) + (10 if node else 0)
+        identifiers = CanIdentifiers(10, extended)
+        assert own == {name: identifiers.identifier(name) for name in IDENTIFIER_NAMES}
+    assert {name for name, row in found.items() if row[0] == "OBC"} == {
+        "sync",
+        "time_at_sync",
+        "telecommand",
+    }
 
 
 def test_what_the_caller_adds_is_in_it() -> None:

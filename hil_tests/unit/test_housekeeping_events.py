@@ -119,6 +119,14 @@ def test_link_counts_bytes_and_packets_and_clear_counters_clears_all(bench: Benc
     assert values["tx_bytes"] == values["tx_packets"] == values["tc_rejected"] == 0
 
 
+def test_structure_can_is_0_on_the_serial_line(bench: Bench) -> None:
+    bench.send("ping")
+    values = bench.housekeeping(4)
+    assert values.pop("can_state") == 3, "NOT_USED"
+    assert len(values) == 26
+    assert set(values.values()) == {0}
+
+
 def test_disabled_events_are_silent_and_listed(bench: Bench) -> None:
     bench.send("event_disable", {"event_ids": [EVENT["MODE_CHANGED"], EVENT["TIME_SET"]]}, ack=0)
     bench.send("event_report_disabled", ack=0)
