@@ -9,11 +9,14 @@ from typing import Any
 
 import pytest
 
+from hil_tests.vectors import reference_can_frames as cyclic
 from hil_tests.vectors import reference_decoder as wire
-from hil_tests.vectors.reference_can import Peer
+from hil_tests.vectors.reference_can import Peer, record
+from st_emulator.can_profile import CanBases
 from st_emulator.emulator import Emulator
 from st_emulator.profile import UnitProfile, load_unit
 from st_emulator.scenario import Scenario
+from st_emulator.wire.can_wiring import CanWiring
 
 MS = 1_000_000
 SOURCE = 0x2A
@@ -45,6 +48,7 @@ PARAMETER = {
         start=1,
     )
 }  # fmt: skip
+WIDE = {"identifier_bits": 29, "identifiers": CanBases()}
 VERIFICATION = {
     "acceptance_success", "acceptance_failure", "start_success", "start_failure", "progress",
     "progress_failure", "completion_success", "completion_failure", "routing_failure",
@@ -78,7 +82,7 @@ class Bench:
     broken: list[bytes] | None = None  # a list takes frames that are no packets, which are errors else
     _line: bytes = b""
 
-    def transmitted(self, data: bytes, t_ns: int) -> None:
+    def transmitted(self, data: bytes, t_ns: int) -> int | None:
         self.groups.append((t_ns, data))
         self._line += data
         whole = self._line.rfind(b"\xc0") + 1
@@ -90,6 +94,7 @@ class Bench:
                     raise
                 self.broken.append(frame)
         self._line = self._line[max(whole - 1, 0) :]
+        return None
 
     @property
     def apid(self) -> int:
@@ -225,16 +230,25 @@ class Bench:
 
 @dataclass
 class CanBench(Bench):
-    """The unit on a CAN bus, an OBC made with struct alone on the other end of its transfers."""
+    """The unit on a CAN bus, an OBC made with struct alone on the other end of its transfers.
+
+    ``refusing``: the link takes no frames; ``refused``: so many it did not take.
+    """
 
     peer: Peer = field(default_factory=lambda: Peer(0x60A, 0x58A))
+    refusing: bool = False
+    refused: int = 0
 
-    def transmitted(self, data: bytes, t_ns: int) -> None:
+    def transmitted(self, data: bytes, t_ns: int) -> int:
+        if self.refusing:
+            self.refused += 1
+            return 0
         self.groups.append((t_ns, data))
         number = len(self.peer.packets)
         self.peer.take(data, t_ns)
         for at_ns, packet in self.peer.packets[number:]:
             self.packets.append(Packet(at_ns, wire.decode_telemetry(packet)))
+        return len(data)
 
     def advance(self, until_ns: int) -> None:
         """An OBC that answers at once: what it has to say goes onto the bus before time goes on."""
@@ -250,9 +264,38 @@ class CanBench(Bench):
     def put_packet(self, packet: bytes) -> None:
         self.peer.send(packet)
 
-    def frames(self, identifier: int) -> list[bytes]:
-        """Payloads of the unit's frames of an identifier that belong to no transfer."""
-        return [payload for _, number, payload in self.peer.frames if number == identifier]
+    @property
+    def shift(self) -> int:
+        """From identifiers of 11 bits to the unit's."""
+        return 18 if self.peer.extended else 0
+
+    def identifier(self, name: str) -> int:
+        broadcast = name in ("sync", "time_at_sync")
+        return (cyclic.BASES[name] << self.shift) + (0 if broadcast else self.peer.telecommand & 0x7F)
+
+    def frames(self, name: str) -> list[tuple[int, dict[str, Any]]]:
+        """(time, values) of the unit's frames of a kind, read by whole numbers and shifts."""
+        wanted = self.identifier(name)
+        return [
+            (t_ns, cyclic.decode(name, payload))
+            for t_ns, number, payload in self.peer.frames
+            if number == wanted
+        ]
+
+    def put_frame(self, name: str, payload: bytes) -> None:
+        """A frame of the OBC that is no part of a transfer, in its turn."""
+        self.peer.outbox.append(record(self.identifier(name), payload, extended=self.peer.extended))
+
+    def can(self) -> dict[str, int]:
+        """Housekeeping structure CAN."""
+        return self.housekeeping(4)
+
+    def forget(self) -> None:
+        super().forget()
+        self.groups.clear()
+        self.peer.frames.clear()
+        self.peer.packets.clear()
+        self.peer.asked.clear()
 
 
 MakeBench = Callable[..., Bench]
@@ -261,7 +304,8 @@ MakeBench = Callable[..., Bench]
 def make(profile: UnitProfile | str = "roja1", **arguments: Any) -> Bench:
     """A bench with a fresh unit.
 
-    ``parameters``: of the scenario; ``timing``, ``wire``, ``detection``: figures of the unit file.
+    ``parameters``: of the scenario; ``timing``, ``wire``, ``detection``, ``can_section``: figures of the
+    unit file. ``can``: how it is wired to a CAN bus.
     """
     unit = load_unit(profile) if isinstance(profile, str) else profile
     for table in ("timing", "wire", "detection", "can_section"):
@@ -274,7 +318,13 @@ def make(profile: UnitProfile | str = "roja1", **arguments: Any) -> Bench:
         kind: type[Bench] = CanBench
         node = arguments["can"].node or unit.can.node
         fd = arguments["can"].fd
-        own = {"peer": Peer(0x600 + node, 0x580 + node, frame_bytes=64 if fd else 8)}
+        extended = unit.can.identifier_bits == 29
+        shift = 18 if extended else 0
+        own = {
+            "peer": Peer(
+                (0x600 << shift) + node, (0x580 << shift) + node, extended, frame_bytes=64 if fd else 8
+            )
+        }
     else:
         kind, own = Bench, {}
     bench = kind.__new__(kind)
@@ -286,6 +336,13 @@ def make(profile: UnitProfile | str = "roja1", **arguments: Any) -> Bench:
 def new_bench() -> MakeBench:
     """Makes benches."""
     return make
+
+
+def make_can(profile: UnitProfile | str = "roja1", **arguments: Any) -> CanBench:
+    """A bench with a fresh unit on a CAN bus."""
+    bench = make(profile, can=arguments.pop("can", CanWiring()), **arguments)
+    assert isinstance(bench, CanBench)
+    return bench
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
-"""The OBC's end of a CAN bus with struct alone: records of frames, ISO-TP, nothing of ours.
+"""The OBC's end of a CAN bus with struct alone: records of frames, their bits, ISO-TP, nothing of ours.
 
-Sources: pcap's LINKTYPE_CAN_SOCKETCAN for the records, ISO 15765-2 (clause 9) for the transfers.
+Sources: pcap's LINKTYPE_CAN_SOCKETCAN for the records, ISO 15765-2 (clause 9) for the transfers, ISO 11898-1
+(clause 10) for the bits of a frame.
 """
 
 from __future__ import annotations
@@ -9,13 +10,18 @@ import struct
 from collections import deque
 from dataclasses import dataclass, field
 
-EXTENDED, ERROR = 0x8000_0000, 0x2000_0000
+EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 
 
 def record(identifier: int, data: bytes, *, extended: bool = False, fd: bool = False) -> bytes:
     flags = 0x05 if fd else 0  # FDF and BRS
     word = identifier | (EXTENDED if extended else 0)
     return struct.pack(">IBBxx", word, len(data), flags) + data
+
+
+def remote_record(identifier: int, length: int, *, extended: bool = False) -> bytes:
+    """A remote frame: a DLC, no data."""
+    return struct.pack(">IBBxx", identifier | REMOTE | (EXTENDED if extended else 0), length, 0)
 
 
 def error_record(error_class: int, data: bytes = bytes(8)) -> bytes:
@@ -33,12 +39,33 @@ def records(data: bytes) -> list[tuple[int, bytes]]:
     return frames
 
 
+def classic_bits(identifier: int, data: bytes, *, extended: bool = False) -> int:
+    """Bits of a classic data frame from start of frame to the end of the intermission, stuffed."""
+    if extended:
+        head = f"0{identifier >> 18:011b}11{identifier & 0x3FFFF:018b}000{len(data):04b}"
+    else:
+        head = f"0{identifier:011b}000{len(data):04b}"
+    body = head + "".join(f"{byte:08b}" for byte in data)
+    crc = 0
+    for bit in body:
+        crc = (crc << 1) ^ (0xC599 if int(bit) ^ crc >> 14 else 0)
+    body += f"{crc:015b}"
+    stuffed, last, run = 0, "", 0
+    for bit in body:
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == 5:  # its complement follows and starts a run of its own
+            stuffed, last, run = stuffed + 1, "10"[int(bit)], 1
+    return len(body) + stuffed + 3 + 7 + 3  # CRC delimiter, ACK slot and delimiter; end of frame; pause
+
+
 @dataclass
 class Peer:
     """One OBC: takes the unit's transfers, answering its first frames with flow control, and sends its own.
 
     ``frame_bytes``: 8, or 64 with CAN FD. ``outbox``: records that go onto the bus next. ``deaf``: it gives
-    no flow control. ``packets``: (time, packet) received whole; ``broken``: transfers that were not.
+    no flow control; ``answers`` are given in place of the next ones. ``packets``: (time, packet) received
+    whole; ``broken``: transfers that were not; ``asked``: flow control of the unit.
     """
 
     telecommand: int
@@ -46,7 +73,10 @@ class Peer:
     extended: bool = False
     frame_bytes: int = 8
     block_size: int = 0
+    stmin: int = 0
     deaf: bool = False
+    answers: deque[bytes] = field(default_factory=deque)
+    asked: list[tuple[int, bytes]] = field(default_factory=list)
     outbox: deque[bytes] = field(default_factory=deque)
     packets: list[tuple[int, bytes]] = field(default_factory=list)
     frames: list[tuple[int, int, bytes]] = field(default_factory=list)
@@ -108,9 +138,11 @@ class Peer:
                 self.frames.append((t_ns, identifier, payload))
 
     def _flow_control(self) -> None:
-        if not self.deaf:
-            self.put(bytes([0x30, self.block_size, 0]))
-            self._in_block = 0
+        self._in_block = 0
+        if self.answers:
+            self.put(self.answers.popleft())
+        elif not self.deaf:
+            self.put(bytes([0x30, self.block_size, self.stmin]))
 
     def _take(self, payload: bytes, t_ns: int) -> None:
         kind, low = payload[0] >> 4, payload[0] & 15
@@ -136,5 +168,7 @@ class Peer:
             self._in_block += 1
             if self.block_size and self._in_block == self.block_size:
                 self._flow_control()
-        elif kind == 3 and low == 0:
-            self._go_on(payload[1])
+        elif kind == 3:
+            self.asked.append((t_ns, payload))
+            if low == 0:
+                self._go_on(payload[1])
