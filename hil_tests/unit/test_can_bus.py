@@ -212,6 +212,28 @@ def test_the_load_is_that_of_the_last_whole_second(steps: list, bitrate: int) ->
             assert abs(bench.bus.load_permille - Fraction(busy_ns, MS)) <= Fraction(1, 2)
 
 
+def test_a_frame_across_the_second_counts_in_both() -> None:
+    bench = CanBench(bitrate=10_000)
+    bench.at(10**9 - 3 * MS, lambda: bench.bus.arrive(bare()))  # 11.1 ms
+    bench.advance(10**9)
+    assert bench.bus.load_permille == 3
+    bench.advance(2 * 10**9)
+    assert bench.bus.load_permille == 8
+    bench.advance(3 * 10**9)
+    assert bench.bus.load_permille == 0
+
+
+def test_a_steady_load_is_shown_second_by_second() -> None:
+    bench = CanBench(bitrate=10_000)
+    for index in range(100):
+        bench.at(index * 200 * MS, lambda: bench.bus.arrive(bare()))
+    for second in range(1, 21):
+        bench.advance(second * 10**9)
+        assert bench.bus.load_permille == 56  # 5 x 11.1 ms
+        bench.advance(second * 10**9 + 950 * MS)
+        assert bench.bus.load_permille == 56
+
+
 def test_a_full_bus_has_a_load_of_1000() -> None:
     bench = CanBench(bitrate=125_000)
 
