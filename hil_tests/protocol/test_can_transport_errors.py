@@ -52,6 +52,7 @@ from st_emulator.protocol.enumerations import TransferFailure as Why
         (UNIT, "40 11 22", Why.BAD_PCI),  # 9.6.1, table 9: reserved
         (UNIT, "FF FF FF FF FF FF FF FF", Why.BAD_PCI),
         (FD, "08" + "AA" * 11, Why.BAD_LENGTH),  # 9.6.2.2: above 8 bytes only with the escape
+        (FD, "08 0A" + "AA" * 10, Why.BAD_LENGTH),
         (FD, "00 07" + "AA" * 10, Why.BAD_LENGTH),  # table 13: 12 bytes carry 8 to 10
         (FD, "00 0B" + "AA" * 10, Why.BAD_LENGTH),
         (FD, "00 0A" + "AA" * 14, Why.BAD_LENGTH),  # 16 bytes carry 11 to 14
@@ -155,14 +156,15 @@ def test_the_same_consecutive_frame_twice() -> None:
 
 
 @pytest.mark.parametrize("status", ["30", "31", "32", "37"])
-def test_flow_control_that_is_not_awaited_changes_nothing(status: str) -> None:
+@pytest.mark.parametrize("block", ["00", "02"])  # one block of all that is left
+def test_flow_control_that_is_not_awaited_changes_nothing(status: str, block: str) -> None:
     """9.8.3: between the frames of a block, after the last one, before the first was handed over."""
     flow_control = f"{status} 01 7F"
     ignored = [FrameIgnored(Why.UNEXPECTED_PDU, 0)]
     end = sending()
     assert end.hears(flow_control) == ignored
     assert end.says() == VIN_FRAMES[0]
-    end.hears("30 00 00")
+    end.hears(f"30 {block} 00")
     assert end.hears(flow_control) == ignored
     assert end.hands_over() == VIN_FRAMES[1]
     assert end.hears(flow_control) == ignored
