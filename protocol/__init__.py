@@ -5,8 +5,17 @@ take them apart and never raise, ``slip_encode`` and ``SlipDecoder`` carry them 
 message stands in ``REGISTRY``.
 """
 
+from .can_messages import (
+    CAN_MESSAGES,
+    CanIdentifiers,
+    CanMessage,
+    Signal,
+    decode_can_message,
+    encode_can_message,
+)
 from .enumerations import (
     MEANINGS,
+    CanState,
     EventId,
     EventSeverity,
     FailureCode,
@@ -25,6 +34,7 @@ from .enumerations import (
     SelfTest,
     StoreInvalidCause,
     TimeStatus,
+    TransferFailure,
 )
 from .errors import LocalProtocolError, ProtocolError, RemoteProtocolError
 from .events import EVENT_TABLE, EVENTS, EventDefinition
@@ -73,6 +83,7 @@ __all__ = [
     "ACK_COMPLETION",
     "ACK_PROGRESS",
     "ACK_START",
+    "CAN_MESSAGES",
     "EVENTS",
     "EVENT_TABLE",
     "FUNCTIONS",
@@ -91,6 +102,9 @@ __all__ = [
     "PARAMETERS_BY_NAME",
     "PARAMETER_TABLE",
     "REGISTRY",
+    "CanIdentifiers",
+    "CanMessage",
+    "CanState",
     "Case",
     "CucTime",
     "Data",
@@ -131,14 +145,18 @@ __all__ = [
     "ResetKind",
     "SelfTest",
     "ServiceDefinition",
+    "Signal",
     "SlipDecoder",
     "StoreInvalidCause",
     "Switched",
     "Telecommand",
     "Telemetry",
     "TimeStatus",
+    "TransferFailure",
     "crc16_ccitt",
+    "decode_can_message",
     "decode_image_header",
+    "encode_can_message",
     "encode_image_header",
     "encode_raw_telecommand",
     "encode_telecommand",

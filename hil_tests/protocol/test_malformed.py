@@ -124,7 +124,7 @@ def test_telecommand_case(case: str) -> None:
 TELEMETRY_CASES: dict[str, tuple[bytes, MalformedReason]] = {
     "nothing": (b"", MalformedReason.TOO_SHORT),
     "smallest minus one": (sealed(PONG[:-3]), MalformedReason.TOO_SHORT),
-    "larger than allowed": (sealed(PONG[:-2] + bytes(2027)), MalformedReason.TOO_LONG),
+    "larger than allowed": (sealed(PONG[:-2] + bytes(4074)), MalformedReason.TOO_LONG),
     "cut": (encode_telemetry("hk_report", smallest_fields(REGISTRY.by_name("hk_report")), **TM_HEADER)[:-1],
             MalformedReason.LENGTH_MISMATCH),
     "crc wrong": (PONG[:-1] + bytes([PONG[-1] ^ 1]), MalformedReason.BAD_CRC),

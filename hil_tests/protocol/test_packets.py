@@ -234,9 +234,9 @@ def test_largest_packets() -> None:
     assert len(encode_raw_telecommand(8, 1, bytes(1011), apid=1, sequence_count=0)) == 1024
     with pytest.raises(LocalProtocolError, match="length = '1025 bytes'; allowed: at most 1024 bytes"):
         encode_raw_telecommand(8, 1, bytes(1012), apid=1, sequence_count=0)
-    part = {"transaction_id": 1, "part_number": 2, "data": bytes(2022)}
-    assert len(encode_telemetry("image_part", part, **TELEMETRY_HEADER)) == 2048
+    part = {"transaction_id": 1, "part_number": 2, "data": bytes(4069)}
+    assert len(encode_telemetry("image_part", part, **TELEMETRY_HEADER)) == 4095
     with pytest.raises(
-        LocalProtocolError, match=r"image_part: data = '2023 octets'; allowed: 1..2022 octets"
+        LocalProtocolError, match=r"image_part: data = '4070 octets'; allowed: 1..4069 octets"
     ):
-        encode_telemetry("image_part", part | {"data": bytes(2023)}, **TELEMETRY_HEADER)
+        encode_telemetry("image_part", part | {"data": bytes(4070)}, **TELEMETRY_HEADER)

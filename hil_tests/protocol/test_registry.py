@@ -249,7 +249,12 @@ def test_missing_and_unexpected_fields_are_refused(message: MessageDefinition) -
         ("hk_enable", {"structure_ids": [1] * 17}, "structure_ids", "1..16 items"),
         ("hk_enable", {"structure_ids": 1}, "structure_ids", "a list of 1..16 items"),
         ("hk_enable", {"structure_ids": "12"}, "structure_ids", "a list of 1..16 items"),
-        ("hk_enable", {"structure_ids": [1, 9]}, "structure_ids[1]", "one of 1 STATUS, 2 LINK, 3 TIMING"),
+        (
+            "hk_enable",
+            {"structure_ids": [1, 9]},
+            "structure_ids[1]",
+            "one of 1 STATUS, 2 LINK, 3 TIMING, 4 CAN",
+        ),
         (
             "hk_set_interval",
             {"intervals": [{"structure_id": 1, "interval_ms": 249}]},

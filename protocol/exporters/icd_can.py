@@ -73,7 +73,7 @@ def _identifiers() -> list[str]:
         f"Each unit has a node number, {NODES[0]} to {NODES[-1]}, so that several share a bus. An identifier",
         "is its base plus the node number; the frames that all units listen to have the base alone. The",
         "unit's file says the bases (`[can.identifiers]`), the node number (`node`) and whether identifiers",
-        f"have 11 or 29 bits (`identifier_bits`). A base is a multiple of {BASE_STEP}, and all are different.",
+        f"have 11 or 29 bits (`identifier_bits`). A base is a multiple of {BASE_STEP}; all are different.",
         "These are the default ones in the order of their priority on the bus; those of 29 bits are the",
         f"others times 2^{EXTENDED_SHIFT}.",
         "",
