@@ -106,8 +106,8 @@ class BusExchange(Exchange):
     def send_frame(self, frame: CanFrame) -> int:
         """Put any frame on the bus; the OBC's time at which the link took it.
 
-        LinkError when it does not take it in time (the bus is off, or nobody acknowledges), LocalProtocolError
-        for a frame that a link without CAN FD does not carry.
+        LinkError when it does not take it in time (the bus is off, or nobody acknowledges),
+        LocalProtocolError for a frame that a link without CAN FD does not carry.
         """
         transport = self._bus()
         if frame.fd and not transport.settings.fd:

@@ -35,8 +35,8 @@ def obc(
         typer.Option(
             "--link",
             metavar="LINK",
-            help="`pty:PATH`, `serial:DEV[@BAUD]`, a bare path or `can:INTERFACE/CHANNEL[@BITRATE][,fd]`; "
-            "`pty` finds the emulator that runs.",
+            help="`pty:PATH`, `serial:DEV[@BAUD]`, a bare path, or a CAN bus: `can:socketcan/vcan0`, "
+            "`can:slcan/DEV`, each with `@BITRATE` and `,fd` if wanted; `pty` finds the emulator that runs.",
         ),
     ] = "pty",
     apid: Annotated[

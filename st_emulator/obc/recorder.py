@@ -202,7 +202,9 @@ class Recorder:
             "failure_data": verification.failure_data,
             "missing": list(verification.missing),
         }
-        _write_line(self._telecommands, line)
+        _write_line(
+            self._telecommands, line | ({"transfer": verification.transfer} if verification.transfer else {})
+        )
 
     def _row(self, telemetry: Telemetry, head: Mapping[str, Any], fields: dict[str, Any]) -> None:
         name = _TABLE_NAMES.get(telemetry.name, telemetry.name)

@@ -1,0 +1,432 @@
+"""On a CAN bus: recordings that other tools read, the command line, the shell, the live view, real links."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner, Result
+
+from hil_tests.obc.can_unit import (
+    ATTITUDE_1,
+    ATTITUDE_2,
+    HEARTBEAT,
+    STATUS,
+    SYNC_TIME,
+    TELEMETRY,
+    CanUnit,
+    clock,
+    half,
+    heartbeat,
+    record,
+    status,
+)
+from st_emulator.errors import ConfigurationError
+from st_emulator.links import Link, LinkError, memory_link_pair, open_link
+from st_emulator.obc import CanTransport, Obc, Recorder, SteppedReader, UnitNotChosenError, read_recording
+from st_emulator.obc.cli import obc_app
+from st_emulator.obc.watching import live_table
+from st_emulator.profile import load_unit, unit_text
+from st_emulator.protocol.can_frames import CanFrame
+from st_emulator.protocol.can_messages import CanIdentifiers
+
+PATIENCE_S = 30.0
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def unit(wire: Any) -> CanUnit:
+    unit_link, obc_link = memory_link_pair(1 << 20, ("unit", "can:memory/vcan7@1000000,fd"))
+    unit = CanUnit(wire, unit_link)
+    unit.fake.answer((17, 1), lambda request: unit.fake.send(17, 2))
+    unit.obc_link = obc_link  # type: ignore[attr-defined]
+    return unit
+
+
+def connected(unit: Any, folder: Path | None = None, node: int | None = 10, **options: Any) -> Obc:
+    return Obc(
+        unit.obc_link,
+        apid=options.get("apid", 0x123),
+        recorder=None if folder is None else Recorder(folder),
+        reader=SteppedReader(unit.step),
+        transport=CanTransport(None if node is None else CanIdentifiers(node)),
+    )
+
+
+# Recordings
+
+
+def recorded(unit: CanUnit, folder: Path) -> None:
+    with connected(unit, folder) as obc:
+        obc.wait(0.5)
+        unit.put(HEARTBEAT + 10, heartbeat(3, mode=4))
+        unit.put(STATUS + 10, status(9, valid=0, reasons=4))
+        unit.put(STATUS + 11, status(8))
+        unit.put(STATUS + 10, b"\x01")
+        unit.put(TELEMETRY + 10, b"\x21" + bytes(7))
+        obc.ping()
+        obc.sync(7)
+
+
+def test_the_log_is_candumps(unit: CanUnit, tmp_path: Path) -> None:
+    recorded(unit, tmp_path)
+    messages = list(can.CanutilsLogReader(tmp_path / "can.log"))
+    said = [f"{message.arbitration_id:X}#{message.data.hex()}" for message in messages]
+    assert said[:3] == [
+        "70A#0304c00100000007",
+        "48A#09040000040c1400",
+        "48B#08048000000c1400",
+    ]
+    assert said[-1] == "80#07"
+    # 2026-01-01 00:00:00.5 UTC: the stepped reader's epoch and half a second.
+    assert messages[0].timestamp == pytest.approx(1_767_225_600.5, abs=1e-6)
+    assert {message.channel for message in messages} == {"vcan7"}
+    sent = [message for message in messages if not message.is_rx]
+    assert {message.arbitration_id for message in sent} == {0x60A, 0x080}
+    # The unit heard all of them but SYNC, after which no time went on.
+    assert [(m.arbitration_id, bytes(m.data)) for m in sent[:-1]] == [heard[1:] for heard in unit.heard]
+
+
+def test_cyclic_frames_are_recorded(unit: CanUnit, tmp_path: Path) -> None:
+    recorded(unit, tmp_path)
+    lines = [json.loads(line) for line in (tmp_path / "cyclic.jsonl").read_text().splitlines()]
+    assert [(line["received_s"], line["name"], line["raw"]) for line in lines] == [
+        (0.5, "heartbeat", "0304c00100000007"),
+        (0.5, "status", "09040000040c1400"),
+    ]
+    assert lines[1]["fields"]["reasons"] == 4
+    (row,) = (tmp_path / "cyclic_status.csv").read_text().splitlines()[1:]
+    assert row.split(",")[:3] == ["0.5", "9", "4"]
+
+
+def test_what_went_wrong_is_recorded(unit: CanUnit, tmp_path: Path) -> None:
+    recorded(unit, tmp_path)
+    anomalies = [json.loads(line) for line in (tmp_path / "anomalies.jsonl").read_text().splitlines()]
+    assert [(entry["kind"], entry.get("reason")) for entry in anomalies] == [
+        ("cyclic_malformed", None),
+        ("transfer_frame_ignored", "UNEXPECTED_PDU"),
+    ]
+    assert next(entry.telemetry.name for entry in read_recording(tmp_path)) == "pong"
+    sent = json.loads((tmp_path / "telecommands.jsonl").read_text().splitlines()[0])
+    assert bytes.fromhex(sent["raw"]) == unit.fake.requests[0].packet
+    assert "wire" not in sent
+    session = json.loads((tmp_path / "session.json").read_text())
+    assert (session["node"], session["started_utc"]) == (10, "2026-01-01T00:00:00+00:00")
+
+
+def test_a_telecommand_that_did_not_arrive_is_recorded_as_such(unit: CanUnit, tmp_path: Path) -> None:
+    unit.flow_control = None
+    with connected(unit, tmp_path) as obc:
+        obc.begin("ping")
+        obc.wait(2)
+    _, finished = map(json.loads, (tmp_path / "telecommands.jsonl").read_text().splitlines())
+    assert (finished["state"], finished["finished_s"]) == ("not delivered", 1.0)
+    assert "TIMEOUT_BS" in finished["transfer"]
+
+
+# The command line
+
+
+@pytest.fixture
+def run(unit: CanUnit) -> Run:
+    """The command line with a unit on a bus; `run.asked` is what it would have connected to."""
+    asked: list[dict[str, Any]] = []
+
+    def connect(link: str, *, record: Path | None = None, **options: Any) -> Obc:
+        asked.append({"link": link, **options})
+        return connected(unit, record, options.get("node", 10))
+
+    def invoke(*arguments: str, typed: str | None = None) -> Result:
+        return CliRunner().invoke(obc_app, list(arguments), input=typed, obj=connect)
+
+    invoke.asked = asked  # type: ignore[attr-defined]
+    return invoke
+
+
+def commands(*lines: str) -> list[str]:
+    return [word for line in lines for word in ("--command", line)]
+
+
+def test_unit_and_node_from_the_command_line(run: Run) -> None:
+    result = run("--link", "can:socketcan/vcan0", "--unit", "roja1", "--node", "77", *commands("wait 0"))
+    assert result.exit_code == 0, result.output
+    (asked,) = run.asked  # type: ignore[attr-defined]
+    assert (asked["link"], asked["unit"], asked["node"]) == ("can:socketcan/vcan0", "roja1", 77)
+    assert asked["apid"] == load_unit("roja1").apid
+    assert run("--node", "128").exit_code == 2
+    assert "can:socketcan/vcan0" in run("--help").stdout
+
+
+def test_json_has_node_and_counters_of_the_bus(run: Run, tmp_path: Path) -> None:
+    assert run("--json", str(tmp_path / "out.json"), *commands("ping")).exit_code == 0
+    out = json.loads((tmp_path / "out.json").read_text())
+    assert (out["node"], out["counters"]["telecommands_verified"]) == (10, 1)
+    assert (out["counters"]["transfers_sent"], out["counters"]["timeout_bs"]) == (1, 0)
+
+
+def test_cyclic_frames_in_words(run: Run, unit: CanUnit) -> None:
+    unit.put(HEARTBEAT + 10, heartbeat(3, mode=4))
+    unit.put(STATUS + 10, status(9, valid=0, reasons=6))
+    unit.put(ATTITUDE_1 + 10, half(9, 0.0, 0.0))
+    unit.put(ATTITUDE_2 + 10, half(9, 0.0, 1.0))
+    result = run(*commands("wait 0.1", "cyclic", "cyclic status", "cyclic attitude"))
+    assert result.exit_code == 0, result.output
+    lines = [" ".join(line.split()) for line in result.stdout.splitlines() if not line.startswith(">")]
+    assert lines[0].startswith("heartbeat 0.100 s ago counter 3 mode TRACKING attitude_valid 1")
+    assert "can_state ERROR_ACTIVE" in lines[0]
+    assert "reasons NO_MATCH|BLINDED" in lines[-2]
+    assert lines[-2].startswith("status")
+    assert lines[-1].startswith("counter 9 ra ")
+    assert lines[-1].endswith("not valid: NO_MATCH|BLINDED")
+
+
+def test_cyclic_frames_that_do_not_come(run: Run) -> None:
+    result = run(*commands("cyclic", "cyclic attitude", "cyclic rates"))
+    assert result.exit_code == 1
+    assert "no cyclic frames" in result.stdout
+    assert "no attitude came" in result.stdout
+    assert "cyclic frame rates: did not come within 2 s; none came" in result.stderr
+
+
+def test_sync_and_frames_from_the_command_line(run: Run, unit: CanUnit) -> None:
+    def on_frame(identifier: int, data: bytes) -> None:
+        if identifier == 0x080:
+            unit.put(SYNC_TIME + 10, clock(data[0], 2_000_000_000, 1 << 23))
+        elif identifier == 0x100:
+            unit.fake.event(12, unit.wire.CUC + data[1:8], after_ms=5)
+
+    unit.on_frame = on_frame
+    result = run(*commands("sync", "sync 1958-01-02T00:00:00Z", "can 123 00 ff", "can 1FFFFFFF", "wait 0.01"))
+    assert result.exit_code == 0, result.output
+    said = [line for line in result.stdout.splitlines() if not line.startswith(">")]
+    assert said[0] == "SYNC 0: on-board time 2000000000.500000 s"
+    assert "TIME_SET" in said[1]
+    assert said[2:] == ["123#00FF sent", "1FFFFFFF# sent"]
+    sent = [(identifier, data) for _, identifier, data in unit.heard if identifier < 0x200]
+    assert sent == [
+        (0x080, b"\x00"),
+        (0x080, b"\x01"),
+        (0x100, b"\x01" + struct.pack(">I", 86_410) + bytes(3)),
+        (0x123, b"\x00\xff"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("cyclic weather", "'weather' is no cyclic frame; there are heartbeat, attitude_1"),
+        ("sync yesterday", "'yesterday' is no time"),
+        ("can 12 00", "'12' is no identifier; write 3 hexadecimal digits"),
+        ("can xyz", "'xyz' is no identifier"),
+        ("can FFF 00", "identifier = 4095"),
+        ("can 123 " + "00" * 9, "data = "),
+    ],
+)
+def test_a_wrong_line_is_refused_before_anything_is_sent(
+    run: Run, unit: CanUnit, line: str, message: str
+) -> None:
+    if line.endswith("00" * 9):
+        result = run(*commands("ping", line))
+        assert message in result.stderr
+        assert result.exit_code == 2
+        return
+    result = run(*commands("ping", line))
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert unit.heard == []
+
+
+def test_expectations_of_the_bus(run: Run) -> None:
+    result = run(*commands("ping", "expect counters.transfers_sent == 1", "expect counters.timeout_cr == 0"))
+    assert result.exit_code == 0, result.output
+
+
+def test_a_unit_that_is_not_chosen_ends_a_script(run: Run, unit: CanUnit) -> None:
+    for node in (10, 11):
+        unit.put(HEARTBEAT + node, heartbeat())
+    result = CliRunner().invoke(
+        obc_app, commands("ping"), obj=lambda link, record=None: connected(unit, None, None)
+    )
+    assert result.exit_code == 1
+    assert "several units are on the bus: nodes 10, 11; name the one that is meant" in result.stderr
+
+
+def test_the_live_view_shows_bus_and_node(unit: CanUnit) -> None:
+    with connected(unit) as obc:
+        unit.put(STATUS + 11, status(1))
+        obc.ping()
+        console = Console(width=120, file=io.StringIO())
+        console.print(live_table(obc))
+        text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "vcan7@1000000,fd, node 10, APID 0x123" in text
+    assert "1 of others" in text
+    assert "3 received, 1 sent, 0 failed" in text
+
+
+def test_on_a_serial_line_bus_commands_say_so(link_pair: Any) -> None:
+    def connect(link: str, record: Any = None) -> Obc:
+        return Obc(link_pair[1], reader=SteppedReader(lambda now_ns: None))
+
+    for line in ("cyclic", "cyclic attitude", "sync", "can 123", "expect counters.timeout_bs == 0"):
+        result = CliRunner().invoke(obc_app, commands(line), obj=connect)
+        assert result.exit_code == 1
+        assert "memory (obc) is no CAN bus" in result.stderr
+
+
+# Real links and the reader's thread
+
+
+@pytest.fixture
+def bus_name(request: pytest.FixtureRequest) -> str:
+    return f"can:virtual/{abs(hash(request.node.nodeid))}"
+
+
+@pytest.fixture
+def running(wire: Any, bus_name: str) -> Iterator[Callable[..., CanUnit]]:
+    """Units of nodes of a virtual bus in a thread of their own."""
+    links: list[Link] = []
+    units: list[CanUnit] = []
+    stop = threading.Event()
+
+    def start(node: int, **options: Any) -> CanUnit:
+        links.append(open_link(bus_name))
+        unit = CanUnit(wire, links[-1], node, **options)  # type: ignore[arg-type]
+        unit.fake.answer((17, 1), lambda request: unit.fake.send(17, 2))
+        unit.fake.answer((6, 2))
+        units.append(unit)
+        return unit
+
+    def run() -> None:
+        now_ns = 0
+        while not stop.is_set():
+            for unit in list(units):
+                unit.step(now_ns)
+            now_ns += 1_000_000
+            stop.wait(0.001)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield start
+    finally:
+        stop.set()
+        thread.join()
+        for link in links:
+            link.close()
+
+
+def test_over_a_virtual_bus(running: Any, bus_name: str, tmp_path: Path) -> None:
+    unit = running(10, flow_control=b"\x30\x02\x01")
+    with Obc.connect(bus_name, apid=0x123, node=10, record=tmp_path / "r") as obc:
+        for _ in range(10):
+            assert obc.ping(PATIENCE_S) > 0
+        obc.memory_load("RAM", 0, bytes(256), PATIENCE_S)  # blocks of two frames, 1 ms apart: by deadlines
+        unit.fake.attitude(frame=33)
+        obc.wait_for("attitude_report", None, PATIENCE_S, since=0)
+        counters = obc.counters.as_dict()
+    assert (counters["telecommands_sent"], counters["telecommands_verified"]) == (11, 11)
+    assert (counters["crc_errors"], counters["receptions_failed"], counters["transmissions_failed"]) == (
+        0,
+        0,
+        0,
+    )
+    assert (tmp_path / "r" / "can.log").read_text().count("\n") == (
+        counters["frames_received"] + counters["frames_sent"]
+    )
+
+
+def test_two_obcs_with_a_unit_each_on_a_virtual_bus(running: Any, bus_name: str) -> None:
+    units = [running(node, heartbeat_ms=200) for node in (10, 11)]
+    with Obc.connect(bus_name, apid=0x123, node=10) as first, Obc.connect(bus_name, node=11) as second:
+        for _ in range(5):
+            first.ping(PATIENCE_S)
+            second.ping(PATIENCE_S)
+        for obc in (first, second):
+            assert obc.counters.sequence_gaps == 0
+            assert obc.counters.as_dict()["transfer_frames_ignored"] == 0
+    assert [len(unit.fake.requests) for unit in units] == [5, 5]
+    with Obc.connect(bus_name) as third, pytest.raises(UnitNotChosenError, match="nodes 10, 11"):
+        third.ping(PATIENCE_S)
+
+
+def test_a_node_is_learned_on_a_virtual_bus(running: Any, bus_name: str) -> None:
+    unit = running(99, heartbeat_ms=200)
+    with Obc.connect(bus_name) as obc:
+        unit.fake.attitude(after_ms=500)
+        obc.ping(PATIENCE_S)
+        assert obc.wait_for_cyclic("heartbeat", None, PATIENCE_S).values["mode"] == 2
+    assert unit.fake.requests[0].apid == 0x123
+
+
+def test_a_timeout_of_the_transport_ends_a_wait_by_itself(running: Any, bus_name: str) -> None:
+    """Nothing arrives: only the deadline wakes the thread, after the frame went out in the caller's."""
+    running(10, flow_control=None)
+    with Obc.connect(bus_name, apid=0x123, node=10) as obc:
+        verification = obc.begin("ping", timeout_s=PATIENCE_S)
+        assert obc._reader.wait(lambda: verification.finished, obc.now_ns() + int(PATIENCE_S * 1e9))
+        assert verification.state.value == "not delivered"
+        assert 1.0 <= verification.seconds < PATIENCE_S  # type: ignore[operator]
+
+
+# What is named
+
+
+def test_a_units_file_gives_node_identifiers_and_rates(tmp_path: Path, bus_name: str) -> None:
+    text = unit_text("roja1")[1].replace("bitrate = 1000000", "bitrate = 500000")
+    text = text.replace("identifier_bits = 11", "identifier_bits = 29").replace(
+        "padding = 0xCC", "padding = 0"
+    )
+    start = text.index("[can.identifiers]")
+    text = text[:start] + text[text.index("[requirements]") :]
+    file = tmp_path / "mine.toml"
+    file.write_text(text.replace("timeout_ms = 1000 ", "timeout_ms = 250 "))
+    with Obc.connect(bus_name, unit=str(file)) as obc:
+        transport = obc.transport
+        assert isinstance(transport, CanTransport)
+        assert transport.identifiers == CanIdentifiers(10, True)
+        settings = transport.settings
+        assert (settings.bitrate, settings.padding, settings.timeout_ns) == (500_000, 0, 250_000_000)
+        assert obc.destination_apid == load_unit("roja1").apid
+    with Obc.connect(f"{bus_name}@250000", unit=str(file), node=33, apid=5) as obc:
+        assert isinstance(obc.transport, CanTransport)
+        assert (obc.transport.node, obc.transport.settings.bitrate) == (33, 250_000)
+        assert obc.destination_apid == 5
+
+
+def test_what_cannot_be_is_told(bus_name: str, tmp_path: Path) -> None:
+    for node in (0, 128):
+        with pytest.raises(ConfigurationError, match=f"CAN node {node}: allowed is a whole number from 1 to"):
+            Obc.connect(bus_name, node=node)
+        with pytest.raises(ConfigurationError, match=f"CAN node {node}"):
+            Obc.connect(bus_name, unit="roja1", node=node)
+    with pytest.raises(ConfigurationError, match="node 10: only a CAN bus has node numbers"):
+        Obc.connect(f"pty:{tmp_path}/unit", node=10)
+    with pytest.raises(ConfigurationError, match="no unit 'nothing'"):
+        Obc.connect(bus_name, unit="nothing")
+    with pytest.raises(LinkError, match="unknown CAN interface"):
+        Obc.connect("can:carrier-pigeon/x")
+
+
+def test_records_of_a_link_in_memory_may_be_cut(wire: Any) -> None:
+    """A small link takes frames in pieces; they arrive whole."""
+    unit_link, obc_link = memory_link_pair(20)
+    taken = bytearray()
+
+    def step(now_ns: int) -> None:
+        taken.extend(unit_link.read())
+
+    reader = SteppedReader(step)
+    with Obc(obc_link, apid=1, reader=reader, transport=CanTransport(CanIdentifiers(10))) as obc:
+        verification = obc.begin("ping", timeout_s=0.5)
+        obc.send_frame(CanFrame(0x111, b"\x01\x02"))
+        obc.wait(0.1)
+        assert obc.counters.as_dict()["frames_refused"] == 1
+    assert bytes(taken) == record(0x60A, b"\x10\x0d" + verification.packet[:6]) + record(0x111, b"\x01\x02")
