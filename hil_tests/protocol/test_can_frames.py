@@ -377,6 +377,7 @@ def test_lines_of_can_utils(line: str, expected: tuple) -> None:
         "(1.0) vcan0 800#00",
         "(1.0) vcan0 FFFFFFFF#00",
         "(1.0) vcan0 40000001#00",
+        "(1.0) vcan0 40000001#",
         "(1.0) vcan0 123#0",
         "(1.0) vcan0 123#R9",
         "(1.0) vcan0 123#001122334455667788",
