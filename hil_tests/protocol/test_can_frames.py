@@ -212,8 +212,13 @@ def test_reserved_bytes_are_not_looked_at() -> None:
 def test_reset_forgets_the_record_in_progress() -> None:
     decoder = RecordDecoder()
     assert decoder.receive(encode_record(CanFrame(1, bytes(8)))[:-1]) == []
+    assert decoder.incomplete
     decoder.reset()
+    assert not decoder.incomplete
+    assert decoder.malformed == 1
     assert decoder.receive(encode_record(CanFrame(2))) == [CanFrame(2)]
+    decoder.reset()  # nothing was in progress
+    assert decoder.malformed == 1
 
 
 @given(st.binary(max_size=400))
