@@ -68,6 +68,7 @@ def test_ports_are_opened_in_links_alone():
     assert users("fcntl") == terminals | locks
     assert users("socket", "select") <= {"st_emulator/links/serial_port.py", "st_emulator/realtime.py"} | {
         *CAN_LINKS,
+        "st_emulator/links/network_interface.py",
         "st_emulator/obc/reading.py",
     }
 

@@ -27,9 +27,9 @@ class CanLink(ClosesOnExit):
     """One node of a CAN bus: `read` gives the records of others' frames, `write` takes records to be sent.
 
     interface: socketcan (channel: a network interface), slcan (a serial port) or virtual (any name; joins
-    those who open the same in this process). bitrate: nominal, bit/s; set in an slcan adapter, while the
-    other two have theirs elsewhere or none. fd: CAN FD frames pass too; without it those of others are not
-    seen. SocketCAN's error messages are read like frames. Raises LinkError when the bus cannot be had.
+    those who open the same in this process). bitrate: nominal, bit/s; set in an slcan adapter, demanded of a
+    network interface that has one. fd: CAN FD frames pass too; without it those of others are not seen.
+    SocketCAN's error messages are read like frames. Raises LinkError when the bus cannot be had.
 
     A frame that the driver does not take is dropped with all behind it in the same `write`, and so is what no
     controller sends (an error frame, an FD frame without `fd`, what is no record).
@@ -52,7 +52,7 @@ class CanLink(ClosesOnExit):
         self._closed = False
         self._port: CanPort
         if interface == "socketcan":
-            self._port = SocketPort(self.name, channel, fd)
+            self._port = SocketPort(self.name, channel, bitrate, fd)
         elif interface == "slcan":
             self._port = SlcanPort(self.name, channel, bitrate, opening_s)
         elif interface == "virtual":

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import errno
-import os
 import socket
 import struct
-from pathlib import Path
 
 from can import CanError
 from can.interfaces.socketcan import SocketcanBus
@@ -15,10 +13,9 @@ from st_emulator.protocol.can_frames import FD_FLAG, RECORD_HEADER_BYTES, REMOTE
 
 from .can_records import MOST_FRAMES_A_READ, RECORD_HEADER, frame_to_send, one_line
 from .link import LinkError
+from .network_interface import NetworkInterface, network_interface
 
-NETWORK_INTERFACES = Path("/sys/class/net")
-CAN_INTERFACE_TYPE = 280  # ARPHRD_CAN of linux/if_arp.h
-INTERFACE_UP = 0x1  # IFF_UP of linux/if.h
+VIRTUAL_KINDS = ("vcan", "vxcan")  # no bus that takes time behind these drivers
 CLASSIC_FRAME = struct.Struct("=IBBBB8s")  # struct can_frame of linux/can.h
 FD_FRAME = struct.Struct("=IBBBB64s")  # struct canfd_frame; its size tells the two apart
 RECEIVE_BUFFER_BYTES = 16 * 1024 * 1024  # the kernel takes some 800 bytes a frame: 20,000 frames and more
@@ -37,20 +34,20 @@ class SocketPort:
 
     unreadable_frames = 0
 
-    def __init__(self, name: str, channel: str, fd: bool) -> None:
+    def __init__(self, name: str, channel: str, bitrate: int, fd: bool) -> None:
         self._name = name
         self._channel = channel
         self._fd = fd
         self._gone: str | None = None
         self.receive_overruns = 0
-        _require_can_interface(name, channel, fd)
+        self._interface = _require_can_interface(name, channel, bitrate, fd)
+        self.hardware = self._interface.kind not in VIRTUAL_KINDS
         try:
             self._bus = SocketcanBus(channel, receive_own_messages=False, fd=fd)
         except (OSError, CanError) as error:
             raise LinkError(f"{name}: {one_line(error)}") from error
         self._socket: socket.socket = self._bus.socket
         self._enlarge_receive_buffer()
-        self.hardware = not _is_virtual(channel)
 
     def _enlarge_receive_buffer(self) -> None:
         try:
@@ -118,7 +115,8 @@ class SocketPort:
     def _set_gone(self, error: OSError) -> LinkError:
         """The kernel says once that an interface went down; the link says so from then on."""
         if error.errno == errno.ENETDOWN:
-            what = f"the interface went down; bring it up, as root: {_up_command(self._channel)}"
+            up = _up_command(self._channel, self._interface)
+            what = f"the interface went down; bring it up, as root: {up}"
         elif error.errno in (errno.ENODEV, errno.ENXIO):
             what = "the interface was removed"
         else:
@@ -127,51 +125,40 @@ class SocketPort:
         return LinkError(self._gone)
 
 
-def _require_can_interface(name: str, channel: str, fd: bool) -> None:
+def _require_can_interface(name: str, channel: str, bitrate: int, fd: bool) -> NetworkInterface:
     """See why a bus could not be opened before it is tried: the kernel's own words explain little."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+        interface = network_interface(channel)
     except OSError as error:
         if error.errno in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
             raise LinkError(f"{name}: this computer's kernel has no CAN; {VCAN_HINT}") from error
         raise LinkError(f"{name}: no CAN socket to be had: {error.strerror}") from error
-    try:
-        socket.if_nametoindex(channel)
-    except OSError:
+    if interface is None:
         make = "`ip link` lists those there are"
         if channel.startswith("vcan"):
-            make = f"make it, as root: ip link add dev {channel} type vcan && {_up_command(channel)}"
-        raise LinkError(f"{name}: no such network interface; {make}, or {VCAN_HINT}") from None
-    kind, flags, mtu = (_attribute(channel, key) for key in ("type", "flags", "mtu"))
-    if kind not in (None, CAN_INTERFACE_TYPE):
-        raise LinkError(f"{name}: this network interface is no CAN bus; `ip link show type can` lists those")
-    if flags is not None and not flags & INTERFACE_UP:
-        raise LinkError(f"{name}: the interface is down; bring it up, as root: {_up_command(channel)}")
-    if fd and mtu is not None and mtu < FD_FRAME.size:
-        how = (
-            f"ip link set {channel} mtu {FD_FRAME.size}"
-            if _is_virtual(channel)
-            else f"ip link set {channel} type can fd on dbitrate BITRATE"
+            make = f"make it, as root: ip link add dev {channel} type vcan && ip link set {channel} up"
+        raise LinkError(f"{name}: no such network interface; {make}; {VCAN_HINT}")
+    if not interface.is_can:
+        raise LinkError(f"{name}: this network interface is no CAN bus; name one, such as can0 or vcan0")
+    if not interface.is_up:
+        raise LinkError(
+            f"{name}: the interface is down; bring it up, as root: {_up_command(channel, interface)}"
         )
-        down = f"ip link set {channel} down && {how} && ip link set {channel} up"
-        raise LinkError(f"{name}: the interface carries no CAN FD; leave out ,fd or, as root: {down}")
+    if interface.bitrate not in (0, bitrate):
+        raise LinkError(
+            f"{name}: the interface is set to {interface.bitrate} bit/s; ask for @{interface.bitrate} or, as "
+            f"root: ip link set {channel} down && ip link set {channel} up type can bitrate {bitrate}"
+        )
+    if fd and interface.mtu < FD_FRAME.size:
+        virtual = interface.kind in VIRTUAL_KINDS
+        how = f"mtu {FD_FRAME.size}" if virtual else "type can fd on dbitrate BITRATE"
+        steps = " && ".join(f"ip link set {channel} {step}" for step in ("down", how, "up"))
+        raise LinkError(f"{name}: the interface carries no CAN FD; leave out ,fd or, as root: {steps}")
+    return interface
 
 
-def _up_command(channel: str) -> str:
-    virtual = channel.startswith("vcan") or _is_virtual(channel)
-    return f"ip link set {channel} up{'' if virtual else ' type can bitrate BITRATE'}"
-
-
-def _is_virtual(channel: str) -> bool:
-    """Whether no device is behind a network interface. (The kernel's own slcan has none either: its tty is
-    not its parent. It is known by its name, which slcand gives it.)
-    """
-    device = os.path.realpath(NETWORK_INTERFACES / channel)
-    return "/devices/virtual/" in device and not channel.startswith("slcan")
-
-
-def _attribute(channel: str, key: str) -> int | None:
-    try:
-        return int((NETWORK_INTERFACES / channel / key).read_text(), 0)
-    except (OSError, ValueError):
-        return None
+def _up_command(channel: str, interface: NetworkInterface) -> str:
+    is_set = interface.kind in VIRTUAL_KINDS or interface.bitrate
+    settings = "" if is_set else " type can bitrate BITRATE"
+    return f"ip link set {channel} up{settings}"

@@ -52,6 +52,7 @@ INTERFACE_UP = 0x1  # IFF_UP of linux/if.h
 OWN_VCAN0 = """
 (
     PATH=$PATH:/usr/sbin:/sbin
+    mount -t sysfs sysfs /sys
     ip link set lo up && ip link add dev vcan0 type vcan && ip link set vcan0 mtu 72 up
 ) && exec "$@"
 """
@@ -90,7 +91,7 @@ def main(arguments: list[str]) -> int:
             run_here([], command, limit_s)
         if os.geteuid() == 0:
             require_packages(["ip"])
-            with_own = ["unshare", "--net", "--", "sh", "-c", OWN_VCAN0, "vcan"]
+            with_own = ["unshare", "--net", "--mount", "--", "sh", "-c", OWN_VCAN0, "vcan"]
             if subprocess.run([*with_own, "true"], capture_output=True, check=False).returncode == 0:
                 run_here(with_own, command, limit_s)
     missing = require_packages(["linux.uml", "ip", "insmod", "candump"])
