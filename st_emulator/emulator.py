@@ -169,7 +169,7 @@ class Emulator:
         if self._journal is not None:
             self._journal.write(self.clock.now_ns, "packet", packet)
         if self.unit.listening:
-            self.unit.packet_received(packet)
+            self.unit.packet_received(packet, self.clock.now_ns)
 
     def flush(self) -> None:
         """Write out what the journal and the truth file hold back."""

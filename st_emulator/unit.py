@@ -288,9 +288,9 @@ class StarTracker:
     def bytes_received(self, count: int) -> None:
         self.link_counters.rx_bytes += count
 
-    def packet_received(self, raw: bytes) -> None:
+    def packet_received(self, raw: bytes, last_bit_ns: int) -> None:
         latency_ns = self.profile.timing.telecommand_latency_us * NS_PER_US
-        self.later(latency_ns, partial(self._handle, raw, self.clock.now_ns))
+        self.later(latency_ns, partial(self._handle, raw, last_bit_ns))
 
     def packet_discarded(self, reason: MalformedReason, length: int) -> None:
         self.receiver.discarded(reason, length)

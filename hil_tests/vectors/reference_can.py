@@ -48,7 +48,7 @@ def classic_bits(identifier: int, data: bytes, *, extended: bool = False) -> int
     body = head + "".join(f"{byte:08b}" for byte in data)
     crc = 0
     for bit in body:
-        crc = (crc << 1) ^ (0xC599 if int(bit) ^ crc >> 14 else 0)
+        crc = (crc << 1 & 0x7FFF) ^ (0x4599 if int(bit) ^ crc >> 14 else 0)
     body += f"{crc:015b}"
     stuffed, last, run = 0, "", 0
     for bit in body:

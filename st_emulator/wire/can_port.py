@@ -230,6 +230,11 @@ class CanPort:
     def _message_sent(handles: list[int]) -> None:
         del handles[0]
 
+    @property
+    def _last_bit_ns(self) -> int:
+        """Of the frame that is being received now."""
+        return max(self._clock.now_ns - self._intermission_ns, 0)
+
     # -- frames in
     # -------------------------------------------------------------------------------------------------
 
@@ -247,8 +252,7 @@ class CanPort:
             if fields is None:
                 self._observer.frame_ignored()
             else:
-                last_bit_ns = max(self._clock.now_ns - self._intermission_ns, 0)
-                self._observer.message_received(name, fields, last_bit_ns)
+                self._observer.message_received(name, fields, self._last_bit_ns)
 
     def _state_changed(self, before: CanState, now: CanState) -> None:
         if self._observer is not None and not self._client.silent:
@@ -316,7 +320,7 @@ class CanPort:
             if isinstance(event, PduReceived):
                 self._heard = True
                 if self._client.listening:
-                    self._client.packet_received(event.data)
+                    self._client.packet_received(event.data, self._last_bit_ns)
             elif isinstance(event, PduSent):
                 self._under_way = None
                 self._under_way_bytes = 0

@@ -22,8 +22,10 @@ class PortClient(Protocol):
     def bytes_received(self, count: int) -> None:
         """So many bytes came in, good or bad: octets of the line, data octets of transfers on a CAN bus."""
 
-    def packet_received(self, raw: bytes) -> None:
-        """A whole packet, or what was sent in place of one; its last bit is in."""
+    def packet_received(self, raw: bytes, last_bit_ns: int) -> None:
+        """A whole packet, or what was sent in place of one; its last bit came in at the virtual time
+        ``last_bit_ns``, now or just before.
+        """
 
     def packet_discarded(self, reason: MalformedReason, length: int) -> None:
         """Bytes that the framing could not make a packet of."""

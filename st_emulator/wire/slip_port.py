@@ -68,6 +68,6 @@ class SlipPort:
         client.bytes_received(len(data))
         for event in self._decoder.receive(data, self._clock.now_ns):
             if isinstance(event, FrameReceived):
-                client.packet_received(event.data)
+                client.packet_received(event.data, event.time_ns)
             else:
                 client.packet_discarded(event.reason.malformed_reason, event.length)
