@@ -296,6 +296,7 @@ class CanBench(Bench):
         self.peer.frames.clear()
         self.peer.packets.clear()
         self.peer.asked.clear()
+        self.peer.said.clear()
 
 
 MakeBench = Callable[..., Bench]

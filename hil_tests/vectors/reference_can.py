@@ -65,7 +65,8 @@ class Peer:
 
     ``frame_bytes``: 8, or 64 with CAN FD. ``outbox``: records that go onto the bus next. ``deaf``: it gives
     no flow control; ``answers`` are given in place of the next ones. ``packets``: (time, packet) received
-    whole; ``broken``: transfers that were not; ``asked``: flow control of the unit.
+    whole; ``broken``: transfers that were not; ``asked``: flow control of the unit; ``said``: payloads of
+    what went into the outbox.
     """
 
     telecommand: int
@@ -77,6 +78,7 @@ class Peer:
     deaf: bool = False
     answers: deque[bytes] = field(default_factory=deque)
     asked: list[tuple[int, bytes]] = field(default_factory=list)
+    said: list[bytes] = field(default_factory=list)
     outbox: deque[bytes] = field(default_factory=deque)
     packets: list[tuple[int, bytes]] = field(default_factory=list)
     frames: list[tuple[int, int, bytes]] = field(default_factory=list)
@@ -89,6 +91,7 @@ class Peer:
     _pieces: deque[bytes] = field(default_factory=deque)
 
     def put(self, payload: bytes) -> None:
+        self.said.append(payload)
         fd = self.frame_bytes > 8
         lengths = [8, 12, 16, 20, 24, 32, 48, 64]
         size = next(length for length in lengths if length >= len(payload))
