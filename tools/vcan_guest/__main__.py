@@ -47,7 +47,10 @@ second one ends it at once. Exit status 124: out of time; 125: there is no vcan0
 Packages (installed with apt-get when root runs this): user-mode-linux iproute2 kmod can-utils
 """
 
+ROOT = Path(__file__).resolve().parents[2]
+PREPARE = ["bash", "-c", '. "$0/tools/environment.sh" && prepare_environment "$0"', str(ROOT)]
 INTERFACE = Path("/sys/class/net/vcan0")
+FAILED = 125
 INTERFACE_UP = 0x1  # IFF_UP of linux/if.h
 OWN_VCAN0 = """
 (
@@ -80,20 +83,19 @@ def main(arguments: list[str]) -> int:
             writable.append(value)
     if not command:
         return refuse("a command is missing: tools/vcan [-t SECONDS] [-w DIR]... COMMAND [ARGUMENT]...")
-    found = shutil.which(command[0])
-    if found is None:
-        exists = os.path.exists(command[0]) and "/" in command[0]
-        return refuse(
-            f"{command[0]}: {'not executable' if exists else 'command not found'}", 126 if exists else 127
-        )
-    if kernel_has_can():
-        if is_up():
-            run_here([], command, limit_s)
-        if os.geteuid() == 0:
-            require_packages(["ip"])
-            with_own = ["unshare", "--net", "--mount", "--", "sh", "-c", OWN_VCAN0, "vcan"]
-            if subprocess.run([*with_own, "true"], capture_output=True, check=False).returncode == 0:
-                run_here(with_own, command, limit_s)
+    own_can = kernel_has_can()
+    if is_ours(command[0]) and not (own_can and is_up()) and not prepare():
+        return FAILED
+    if shutil.which(command[0]) is None:
+        if "/" in command[0] and os.path.exists(command[0]):
+            return refuse(f"{command[0]}: not executable", 126)
+        return refuse(f"{command[0]}: command not found", 127)
+    if own_can and is_up():
+        run_here([], command, limit_s)
+    if own_can and os.geteuid() == 0 and require_packages(["ip"]) is None:
+        with_own = ["unshare", "--net", "--mount", "--", "sh", "-c", OWN_VCAN0, "vcan"]
+        if subprocess.run([*with_own, "true"], capture_output=True, check=False).returncode == 0:
+            run_here(with_own, command, limit_s)
     missing = require_packages(["linux.uml", "ip", "insmod", "candump"])
     if missing:
         return refuse(missing)
@@ -116,6 +118,16 @@ def seconds(text: str) -> float | None:
     return value if 0 < value < 1e9 else None
 
 
+def is_ours(command: str) -> bool:
+    """Whether the command needs this project installed: it lies in its folder, say tools/demo."""
+    return "/" in command and ROOT in Path(os.path.abspath(command)).parents
+
+
+def prepare() -> bool:
+    """Install the project now: where the command will run there is no network."""
+    return subprocess.run(PREPARE, stdout=sys.stderr, check=False).returncode == 0
+
+
 def kernel_has_can() -> bool:
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
@@ -132,7 +144,7 @@ def is_up() -> bool:
         return False
 
 
-def refuse(text: str, status: int = 125) -> int:
+def refuse(text: str, status: int = FAILED) -> int:
     print(f"tools/vcan: {text}", file=sys.stderr)
     return status
 

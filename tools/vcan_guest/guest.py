@@ -29,6 +29,12 @@ GRACE_S = 10.0  # from a signal passed on to the end of the guest
 OUTPUT_S = 5.0  # for what a guest that was ended had written
 MOST_MEMORY_MB, LEAST_MEMORY_MB = 3072, 256
 LOG_LINES = 25
+USER_FOLDERS = (
+    ("XDG_CACHE_HOME", ".cache", "st-emulator"),
+    ("XDG_STATE_HOME", ".local/state", "st-emulator"),
+    ("XDG_CACHE_HOME", ".cache", "matplotlib"),
+    ("XDG_CONFIG_HOME", ".config", "matplotlib"),
+)
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 TIMED_OUT, FAILED = 124, 125
 
@@ -102,11 +108,11 @@ def _write_items(path: Path, items: Sequence[str]) -> None:
 
 def _writable_folders(keeper: Keeper, here: str, more: Sequence[str]) -> list[str]:
     """Real paths, none within another. The user's folders are made when missing, as the guest cannot."""
-    home = os.path.expanduser("~")
-    wanted = [here, "/tmp", os.environ.get("TMPDIR", ""), os.environ.get("NUMBA_CACHE_DIR", ""), *more]
-    for variable, default in (("XDG_CACHE_HOME", ".cache"), ("XDG_STATE_HOME", ".local/state")):
+    wanted = [here, "/tmp", *more]
+    wanted += [os.environ.get(variable, "") for variable in ("TMPDIR", "NUMBA_CACHE_DIR", "MPLCONFIGDIR")]
+    for variable, default, name in USER_FOLDERS:
         root = os.environ.get(variable, "")
-        own = os.path.join(root if os.path.isabs(root) else os.path.join(home, default), "st-emulator")
+        own = os.path.join(root if os.path.isabs(root) else os.path.expanduser(f"~/{default}"), name)
         missing = own
         while not os.path.exists(missing):
             keeper.remove_if_empty(missing)
@@ -115,11 +121,7 @@ def _writable_folders(keeper: Keeper, here: str, more: Sequence[str]) -> list[st
             os.makedirs(own, exist_ok=True)
         wanted.append(own)
     real = {os.path.realpath(folder) for folder in wanted if folder and os.path.isdir(folder)} - {"/"}
-    return [
-        folder
-        for folder in sorted(real)
-        if not any(folder.startswith(f"{other}/") for other in real - {folder})
-    ]
+    return [folder for folder in sorted(real) if not any(folder.startswith(f"{other}/") for other in real)]
 
 
 class _Guest:
