@@ -24,10 +24,7 @@ from .can_transfer import (
 from .enumerations import TransferFailure
 
 # SF_DL in frames above 8 bytes begins where the next shorter frame ends (9.6.2.1, table 13).
-_SHORTEST_LONG_SINGLE = {
-    length: max(shorter - 1, CLASSIC_BYTES)
-    for shorter, length in pairwise(FRAME_BYTES)
-}
+_SHORTEST_LONG_SINGLE = {length: max(shorter - 1, CLASSIC_BYTES) for shorter, length in pairwise(FRAME_BYTES)}
 
 
 class Receiver:
@@ -54,7 +51,6 @@ class Receiver:
         """Forget the reception and every flow control."""
         self.flow_control_deadline_ns = NEVER_NS
         self.handed_over: CanFrame | None = None
-        self._handed_over_for_reception = False  # else the one that it belonged to is over
         self._end()
 
     def _end(self) -> None:
@@ -66,7 +62,7 @@ class Receiver:
         self._block_left = 0
         self._flow_control: CanFrame | None = None  # to be handed over
         self._flow_control_since_ns = NEVER_NS
-        self._handed_over_for_reception = False
+        self._handed_over_for_reception = False  # else the reception that it belonged to is over
 
     @property
     def ready_ns(self) -> int:
@@ -90,7 +86,6 @@ class Receiver:
         self.handed_over = None
         self.flow_control_deadline_ns = NEVER_NS
         if self._handed_over_for_reception:
-            self._handed_over_for_reception = False
             self.reception_deadline_ns = now_ns + self._settings.n_cr_ns
 
     def _ask(self, flow_control: CanFrame, now_ns: int) -> None:
