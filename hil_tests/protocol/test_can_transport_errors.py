@@ -292,3 +292,12 @@ def test_a_reserved_separation_time_holds_up_to_the_end_of_the_pdu() -> None:
     assert end.deadline_ns == 127 * MS
     assert end.says(127 * MS)
     assert end.deadline_ns == 254 * MS
+
+
+def test_the_longest_separation_time_holds_up_to_the_next_flow_control() -> None:
+    end = sending()
+    end.says()
+    end.hears("30 01 7F", 0)
+    assert end.says(0)
+    end.hears("30 00 00", 5)
+    assert end.deadline_ns == 5
