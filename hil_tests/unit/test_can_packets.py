@@ -171,8 +171,9 @@ def test_the_obcs_block_size_is_kept(block_size: int) -> None:
 
 
 def test_packets_cross() -> None:
-    """Telecommands come in while telemetry goes out, one frame of each in turn."""
+    """Telecommands come in while telemetry goes out, whose frames leave room for others."""
     bench = make_can().boot()
+    bench.peer.stmin = 0xF3
     dump(bench, 1024)
     bench.run(3)
     first = bench.count + 1

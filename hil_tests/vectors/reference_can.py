@@ -143,7 +143,8 @@ class Peer:
     def _flow_control(self) -> None:
         self._in_block = 0
         if self.answers:
-            self.put(self.answers.popleft())
+            answer = self.answers.popleft()
+            self.outbox.append(record(self.telecommand, answer, extended=self.extended))
         elif not self.deaf:
             self.put(bytes([0x30, self.block_size, self.stmin]))
 

@@ -248,7 +248,8 @@ class CanPort:
             self._handle(self.connection.receive(frame, self._clock.now_ns))
             self._pump()
         elif name in FROM_OBC and self._observer is not None and self._client.listening:
-            fields = decode_can_message(name, frame.data)
+            readable = self.settings.fd or not frame.fd
+            fields = decode_can_message(name, frame.data) if readable else None
             if fields is None:
                 self._observer.frame_ignored()
             else:
