@@ -361,18 +361,27 @@ class Exchange:
             self._reader.wake()
         return taken
 
-    def _pump(self) -> None:
-        """Give the link what the transport has for it; called with the lock held."""
+    def _pump(self) -> bool:
+        """Give the link what the transport has for it; called with the lock held. Whether anything came of
+        it.
+        """
+        told = False
         while data := self.transport.outgoing(self._reader.now_ns()):
             taken = self.link.write(data)
-            self._handle(self._protocol.written(taken, self._reader.now_ns()))
+            events = self._protocol.written(taken, self._reader.now_ns())
+            self._handle(events)
+            told = told or bool(events)
             if taken < len(data):
-                return
+                break
+        return told
 
-    def _take(self, data: bytes, now_ns: int) -> None:
-        """What the reader has read, or b"" when it is time; called with its lock held."""
-        self._handle(self._protocol.receive(data, now_ns))
-        self._pump()
+    def _take(self, data: bytes, now_ns: int) -> bool:
+        """What the reader has read, or b"" when it is time; called with its lock held. Whether anything came
+        of it that somebody may wait for: on a CAN bus most frames are a piece of a packet.
+        """
+        events = self._protocol.receive(data, now_ns)
+        self._handle(events)
+        return self._pump() or bool(events)
 
     def _handle(self, events: Iterable[ObcEvent]) -> None:
         for event in events:

@@ -15,7 +15,7 @@ from st_emulator.links import Link, LinkError
 
 POLL_INTERVAL_S = 0.001
 STEPPED_EPOCH = datetime(2026, 1, 1, tzinfo=UTC)
-TakeBytes = Callable[[bytes, int], None]
+TakeBytes = Callable[[bytes, int], bool]
 NextDeadline = Callable[[], int | None]
 WAKE_BYTES = 512
 
@@ -29,7 +29,7 @@ class Reader(Protocol):
     """Brings what arrives on a link to `take(data, now_ns)` and lets a caller wait for what comes of it.
 
     `take` is called with `lock` held, and never twice at the same time; with b"" when nothing arrived by the
-    time that `next_deadline_ns` gives.
+    time that `next_deadline_ns` gives. It says whether anything came of it that a caller may wait for.
     """
 
     lock: threading.RLock
@@ -139,8 +139,8 @@ class LiveReader:
                 now_ns = self.now_ns()
                 if data or (due_ns is not None and now_ns >= due_ns):
                     with self._changed:
-                        take(data, now_ns)
-                        self._changed.notify_all()
+                        if take(data, now_ns):
+                            self._changed.notify_all()
         except Exception as error:  # whatever it is, it must reach the caller: nobody looks at a thread
             with self._changed:
                 self._failure = error
