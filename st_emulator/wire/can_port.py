@@ -334,23 +334,31 @@ class CanPort:
                 self._observer.transfer_failed(event.reason)
 
     def _transmission_failed(self, reason: TransferFailure) -> None:
-        lost = [] if self._under_way is None else [self._under_way]
-        self._under_way = None
+        packet, self._under_way = self._under_way, None
         self._under_way_bytes = 0
+        if packet is not None:
+            if not self._lost and not packet.reports:
+                self._lost_reason = reason
+            self._lose(packet)
         if reason in RECEIVER_GONE:
             self._heard = False
-            oldest_ns = self._clock.now_ns - self.settings.timeout_ns
-            while self._queue and self._queue[0].queued_ns <= oldest_ns:
-                lost.append(self._queue.popleft())
-                self._waiting_bytes -= len(lost[-1].data)
-        reported = sum(packet.reports for packet in lost)  # in vain
-        if not self._lost and not reported:
-            self._lost_reason = reason
-        self._lost += len(lost) + reported
-        self.counters.packets_lost += len(lost)
+            self._lose_old()
+
+    def _lose(self, packet: _Packet) -> None:
+        self._lost += 1 + packet.reports  # which nobody has read
+        self.counters.packets_lost += 1
+
+    def _lose_old(self) -> None:
+        oldest_ns = self._clock.now_ns - self.settings.timeout_ns
+        while self._queue and self._queue[0].queued_ns <= oldest_ns:
+            packet = self._queue.popleft()
+            self._waiting_bytes -= len(packet.data)
+            self._lose(packet)
 
     def _report_lost(self) -> None:
         if self._lost and self._observer is not None:
+            if self._lost_reason in RECEIVER_GONE:
+                self._lose_old()  # behind the one that the controller has kept
             self._reporting, self._lost = self._lost, 0
             self._observer.packets_lost(self._lost_reason, self._reporting)
             self._reporting = 0  # nobody wants to know
