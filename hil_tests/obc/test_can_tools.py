@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
@@ -31,7 +32,17 @@ from hil_tests.obc.can_unit import (
 )
 from st_emulator.errors import ConfigurationError
 from st_emulator.links import Link, LinkError, memory_link_pair, open_link
-from st_emulator.obc import CanTransport, Obc, Recorder, SteppedReader, UnitNotChosenError, read_recording
+from st_emulator.links.link import ClosesOnExit
+from st_emulator.obc import (
+    CanSettings,
+    CanTransport,
+    Obc,
+    Recorder,
+    SteppedReader,
+    TelecommandNotDelivered,
+    UnitNotChosenError,
+    read_recording,
+)
 from st_emulator.obc.cli import obc_app
 from st_emulator.obc.watching import live_table
 from st_emulator.profile import load_unit, unit_text
@@ -374,6 +385,54 @@ def test_a_timeout_of_the_transport_ends_a_wait_by_itself(running: Any, bus_name
         assert obc._reader.wait(lambda: verification.finished, obc.now_ns() + int(PATIENCE_S * 1e9))
         assert verification.state.value == "not delivered"
         assert 1.0 <= verification.seconds < PATIENCE_S  # type: ignore[operator]
+
+
+class _SocketLink(ClosesOnExit):
+    """A link with a descriptor, as SocketCAN has: nobody looks at it as long as nothing arrives."""
+
+    name = "can:socket/pair"
+    dropped_bytes = 0
+
+    def __init__(self) -> None:
+        self._ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._ours.setblocking(False)
+
+    def fileno(self) -> int | None:
+        return self._ours.fileno()
+
+    def read(self) -> bytes:
+        try:
+            return self._ours.recv(65536)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> int:
+        return self._ours.send(data)
+
+    def close(self) -> None:
+        self._ours.close()
+        self.theirs.close()
+
+
+def test_a_deadline_begun_in_the_callers_thread_wakes_the_readers() -> None:
+    """The reader sleeps on its link without any time limit when the telecommand begins."""
+    settings = CanSettings(timeout_ns=100_000_000)
+    with Obc(_SocketLink(), apid=1, transport=CanTransport(CanIdentifiers(10), settings)) as obc:
+        obc.wait(0.1)
+        verification = obc.begin("ping", timeout_s=PATIENCE_S)
+        with pytest.raises(TelecommandNotDelivered, match="no flow control"):
+            obc.finish(verification)
+
+
+def test_frames_that_come_do_not_put_a_deadline_off() -> None:
+    link = _SocketLink()
+    settings = CanSettings(timeout_ns=100_000_000)
+    with Obc(link, apid=1, transport=CanTransport(CanIdentifiers(10), settings)) as obc:
+        verification = obc.begin("ping", timeout_s=PATIENCE_S)
+        link.theirs.send(record(0x70A, heartbeat()))
+        with pytest.raises(TelecommandNotDelivered, match="no flow control"):
+            obc.finish(verification)
+        assert obc.cyclic("heartbeat") is not None
 
 
 # What is named

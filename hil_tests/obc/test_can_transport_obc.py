@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any
 
@@ -11,10 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil_tests.obc.can_unit import bits, frames_of, half, heartbeat, record, segments, status
-from st_emulator.obc import CanSettings, CanTransport, ObcProtocol, State, UnitNotChosenError
-from st_emulator.obc.obc_protocol import TelemetryReceived, VerificationUpdated
-from st_emulator.obc.transport import CanFrameSeen, CyclicMalformed, CyclicReceived, PacketReceived
+from hil_tests.obc.can_unit import heartbeat, record, segments
+from hil_tests.obc.transport_ends import counted, drain, hexes, told
+from st_emulator.obc import CanSettings, CanTransport, ObcProtocol, SlipTransport, State
+from st_emulator.obc.obc_protocol import VerificationUpdated
+from st_emulator.obc.transport import CyclicReceived, PacketReceived
+from st_emulator.protocol.can_frames import CanFrame
 from st_emulator.protocol.can_messages import CanIdentifiers
 from st_emulator.protocol.can_transport import FrameIgnored, ReceptionFailed
 from st_emulator.protocol.enumerations import TransferFailure
@@ -29,29 +30,6 @@ CLEAR_TO_SEND = record(UNIT, bytes.fromhex("300000CCCCCCCCCC"))
 @pytest.fixture
 def transport() -> CanTransport:
     return CanTransport(CanIdentifiers(10))
-
-
-def drain(transport: CanTransport, now_ns: int = 0, most: int = 10_000) -> list[tuple[int, bytes]]:
-    """Every frame that leaves now over a link that takes all."""
-    found = []
-    while len(found) < most and (line := transport.outgoing(now_ns)):
-        found += frames_of(line)
-        transport.written(len(line), now_ns)
-    return found
-
-
-def hexes(frames: Iterable[tuple[int, bytes]]) -> list[str]:
-    return [f"{identifier:X}#{data.hex().upper()}" for identifier, data in frames]
-
-
-def told(events: Iterable[Any]) -> list[Any]:
-    """Events but for the mere sight of frames."""
-    return [event for event in events if not isinstance(event, CanFrameSeen)]
-
-
-def counted(transport: CanTransport) -> dict[str, int]:
-    left_out = ("received_bytes", "sent_bytes", "frames_received", "frames_sent")
-    return {name: n for name, n in transport.counters.as_dict().items() if n and name not in left_out}
 
 
 # Packets out
@@ -131,6 +109,7 @@ def test_a_transfer_that_fails_ends_its_telecommand_and_the_next_goes_on(
     assert first.state is State.NOT_DELIVERED
     assert f"({reason.name})" in first.transfer
     assert (first.finished, second.finished) == (True, False)
+    assert list(protocol.verifications) == [second]
     counters = counted(transport)
     assert counters.pop(reason.name.lower()) == 1
     assert counters == {
@@ -173,6 +152,43 @@ def test_what_waits_longer_than_its_deadline_is_not_sent_late(transport: CanTran
         "telecommands_timed_out": 2,
         "transfers_sent": 1,
     }
+
+
+def test_what_the_unit_said_of_a_transfer_is_told(transport: CanTransport) -> None:
+    protocol = ObcProtocol(0x123, 1, transport)
+    _, refused = protocol.telecommand("ping", {}, 0, timeout_ns=100 * MS)
+    transport.outgoing(0)
+    transport.written(0, 0)
+    protocol.receive(b"", 100 * MS)
+    assert refused.transfer == "the bus has not taken it so far"
+    drain(transport, 100 * MS)
+    transport.receive(CLEAR_TO_SEND, 100 * MS)
+    drain(transport, 100 * MS)
+    _, waiting = protocol.telecommand("ping", {}, 100 * MS, timeout_ns=100 * MS)
+    drain(transport, 100 * MS)
+    protocol.receive(record(UNIT, b"\x31\x00\x00"), 150 * MS)
+    protocol.receive(b"", 200 * MS)
+    assert waiting.transfer == "it is not yet delivered"
+
+
+def test_padding_and_timeouts_of_the_unit() -> None:
+    transport = CanTransport(CanIdentifiers(10), CanSettings(padding=None, timeout_ns=250 * MS))
+    transport.encode(b"\x01\x02", 0)
+    transport.encode(PACKET, 0)
+    assert hexes(drain(transport)) == ["60A#020102", "60A#101E010203040506"]
+    assert transport.next_deadline_ns() == 250 * MS  # N_Bs
+    assert len(told(transport.poll(250 * MS))) == 1
+    first, *_ = segments(PACKET)
+    transport.receive(record(UNIT, first), S)
+    assert hexes(drain(transport, S)) == ["60A#300000"]
+    assert transport.next_deadline_ns() == S + 250 * MS  # N_Cr
+    transport.encode(b"\x01", 2 * S)
+    transport.poll(2 * S)
+    transport.outgoing(2 * S)
+    transport.written(0, 2 * S)
+    transport.poll(2 * S + 250 * MS)
+    counters = counted(transport)
+    assert (counters["timeout_bs"], counters["timeout_cr"], counters["timeout_a"]) == (1, 1, 1)
 
 
 # A link that does not take everything
@@ -226,8 +242,6 @@ def test_a_record_that_was_begun_is_finished_though_its_packet_was_given_up(
 
 
 def test_a_frame_of_its_own_is_given_up_in_time(transport: CanTransport) -> None:
-    from st_emulator.protocol.can_frames import CanFrame
-
     waiting = transport.send_frame(CanFrame(0x80, b"\x01"), 0)
     transport.outgoing(0)
     transport.written(0, 0)
@@ -237,6 +251,13 @@ def test_a_frame_of_its_own_is_given_up_in_time(transport: CanTransport) -> None
     assert waiting.lost
     assert transport.outgoing(2 * S) == b""
     assert counted(transport) == {"frames_refused": 1, "frames_lost": 1}
+    begun = transport.send_frame(CanFrame(0x81, b"\x02"), S)
+    transport.outgoing(S)
+    transport.written(5, S)
+    transport.poll(2 * S)  # its time is over, and its rest must follow
+    assert len(transport.outgoing(2 * S)) == 4
+    transport.written(4, 2 * S)
+    assert (begun.taken_ns, begun.lost) == (2 * S, False)
     taken = transport.send_frame(CanFrame(0x80, b"\x02"), 2 * S)
     assert hexes(drain(transport, 2 * S + 5)) == ["80#02"]
     assert taken.taken_ns == 2 * S + 5
@@ -320,137 +341,7 @@ def test_a_transfer_that_stops_ends_after_n_cr(transport: CanTransport) -> None:
     assert transport.counters.timeout_cr == 1
 
 
-# Whose frames
-
-
-def test_interleaved_transfers_of_three_nodes_are_not_mixed(wire: Any) -> None:
-    packets = {node: wire.telemetry_packet(17, 2, bytes([node]) * 50) for node in (10, 11, 12)}
-    by_node = {node: segments(packet) for node, packet in packets.items()}
-    stream = b"".join(
-        record(0x580 + node, frame)
-        for row in zip(*by_node.values(), strict=True)
-        for node, frame in zip(by_node, row, strict=True)
-    )
-    for node in packets:
-        transport = CanTransport(CanIdentifiers(node))
-        assert told(transport.receive(stream, 0)) == [PacketReceived(packets[node], 0)]
-        assert transport.counters.frames_of_others == 2 * len(by_node[10])
-
-
-def test_what_is_not_the_units_is_counted_and_left_alone(transport: CanTransport) -> None:
-    foreign = [
-        record(0x70B, heartbeat()),  # another node
-        record(OBC, b"\x02\x01\x02"),  # another OBC's telecommand
-        record(0x080, b"\x01"),  # another's SYNC
-        record(UNIT, b"\x02\x01\x02", extended=True),  # 29 bits, the same number
-        record(0x7FF, b""),
-        record(UNIT | 1 << 30, b"")[:4] + bytes([8, 0, 0, 0]),  # a remote frame
-    ]
-    assert told(transport.receive(b"".join(foreign), 0)) == []
-    assert drain(transport) == []
-    assert counted(transport) == {"frames_of_others": 6}
-    error = record(0x2000_0040, bytes(8))
-    unreal = record(0x123, bytes(9))
-    transport.receive(error + unreal + foreign[0], 0)
-    assert counted(transport) == {"frames_of_others": 7, "error_frames": 1, "malformed_records": 1}
-
-
-@given(stream=st.lists(st.tuples(st.integers(0, 9), st.binary(max_size=8)), max_size=40))
-@settings(max_examples=200, deadline=None)
-def test_noise_on_the_units_identifiers_never_raises_and_the_next_packet_arrives(
-    wire: Any, stream: list[tuple[int, bytes]]
-) -> None:
-    names = [0x58A, 0x60A, 0x70A, 0x18A, 0x28A, 0x38A, 0x48A, 0x50A, 0x40A, 0x080]
-    protocol = ObcProtocol(wire.APID, 1, CanTransport(CanIdentifiers(10)))
-    for number, (place, data) in enumerate(stream):
-        protocol.receive(record(names[place], data), number)
-        while line := protocol.transport.outgoing(number):
-            protocol.written(len(line), number)
-    good = wire.telemetry_packet(17, 2)
-    events = protocol.receive(b"".join(record(UNIT, frame) for frame in segments(good)), 100)
-    assert any(isinstance(event, TelemetryReceived) for event in events)
-
-
-# Cyclic frames
-
-
-def test_cyclic_frames_are_decoded(transport: CanTransport) -> None:
-    rates = bits((200, 8), (1, 1), (0, 1), (-131_072, 18), (131_071, 18), (-1, 18))
-    stream = (
-        record(0x70A, heartbeat(9, mode=4, boot_count=3, uptime_s=77))
-        + record(0x18A, half(200, -1.0, 0.5))
-        + record(0x38A, rates)
-        + record(0x48A, status(200, valid=0, reasons=4))
-    )
-    events = told(transport.receive(stream, 5))
-    assert [event.name for event in events] == ["heartbeat", "attitude_1", "rates", "status"]
-    beat, attitude, rate, state = (event.values for event in events)
-    assert beat == {
-        "counter": 9,
-        "mode": 4,
-        "attitude_valid": 1,
-        "time_set": 1,
-        "can_state": 0,
-        "boot_count": 3,
-        "uptime_s": 77,
-    }
-    assert attitude == {"counter": 200, "q_x": -1.0, "q_y": 0.5}
-    assert rate == {"counter": 200, "rate_valid": 1, "rate_x": -0.25, "rate_y": 131_071 / 2**19} | {
-        "rate_z": -(2.0**-19)
-    }
-    assert (state["valid"], state["reasons"], state["stars_identified"]) == (0, 4, 12)
-    assert counted(transport) == {"cyclic_frames": 4}
-
-
-def test_a_cyclic_frame_of_another_length_is_counted(transport: CanTransport) -> None:
-    (event,) = told(transport.receive(record(0x18A, b"\x01\x02"), 5))
-    assert event == CyclicMalformed("attitude_1", b"\x01\x02", 5)
-    assert counted(transport) == {"cyclic_malformed": 1}
-
-
-# Which unit
-
-
-def test_the_first_heartbeat_tells_the_node() -> None:
-    transport = CanTransport()
-    packet = b"".join(record(0x58B, frame) for frame in segments(PACKET))
-    assert told(transport.receive(packet, 0)) == []
-    with pytest.raises(UnitNotChosenError, match="no unit's heartbeat came; name the one"):
-        transport.settle()
-    transport.encode(b"\x05", 0)
-    assert drain(transport) == []
-    transport.receive(record(0x70B, heartbeat()), 1)
-    assert transport.node == 11
-    assert told(transport.receive(packet, 2)) == [PacketReceived(PACKET, 2)]
-    assert hexes(drain(transport, 2)) == ["60B#0105CCCCCCCCCCCC"]
-    transport.settle()
-    transport.receive(record(0x70C, heartbeat()), 3)
-    transport.check_choice()  # it was clear when it was chosen
-    assert transport.node == 11
-
-
-def test_several_units_heard_are_an_error_that_lists_them() -> None:
-    transport = CanTransport()
-    for node in (12, 10, 11):
-        transport.receive(record(0x700 + node, heartbeat()), 0)
-    with pytest.raises(UnitNotChosenError, match="several units are on the bus: nodes 10, 11, 12; name"):
-        transport.settle()
-    with pytest.raises(UnitNotChosenError):
-        transport.check_choice()
-    named = CanTransport(CanIdentifiers(11))
-    for node in (12, 10, 11):
-        named.receive(record(0x700 + node, heartbeat()), 0)
-    named.settle()
-    named.check_choice()
-
-
-def test_29_bits_and_bases_of_a_units_own() -> None:
-    bases = {name: base + 0x1000_0000 for name, base in CanIdentifiers(1).bases.items()}
-    transport = CanTransport(CanIdentifiers(5, True, bases))
-    events = transport.receive(record(0x1000_0705, heartbeat(), extended=True), 0)
-    assert [event.name for event in told(events)] == ["heartbeat"]
-    transport.encode(b"\x01", 0)
-    assert drain(transport) == [(0x8000_0000 | 0x1000_0605, b"\x01\x01" + b"\xcc" * 6)]
+# CAN FD, and how long a packet takes
 
 
 def test_can_fd_has_longer_frames() -> None:
@@ -475,3 +366,6 @@ def test_the_time_that_a_packet_takes(transport: CanTransport) -> None:
     assert 111_000 < transport.transfer_ns(7) < 135_000
     slow = CanTransport(CanIdentifiers(10), CanSettings(bitrate=125_000))
     assert slow.transfer_ns(20) == 8 * transport.transfer_ns(20)
+    # On a serial line 8N1 with the two ENDs round it.
+    assert SlipTransport(9600).transfer_ns(20) == 22 * 10 * S // 9600
+    assert SlipTransport().transfer_ns(20) == 0

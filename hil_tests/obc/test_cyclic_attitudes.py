@@ -85,3 +85,12 @@ def test_what_the_unit_says_of_an_attitude_may_come_after_it() -> None:
     joiner.take("status", values_of("status", 3), 2)
     (attitude,) = joiner.attitudes()
     assert attitude.valid is True
+
+
+def test_another_value_of_a_part_that_came_is_of_another_frame() -> None:
+    """As after a start of the unit that nothing told of."""
+    joiner = AttitudeJoiner()
+    for name, index in (("attitude_1", 3), ("attitude_1", 259), ("attitude_2", 259), ("attitude_1", 515)):
+        joiner.take(name, values_of(name, index), 0)
+    (attitude,) = joiner.attitudes()
+    assert attitude.q_icrs_to_sensor.tolist() == [part * 259 / 4096 for part in (1, -1, 1, -1)]

@@ -24,7 +24,7 @@ from .obc_protocol import ObcEvent, ObcProtocol, TelemetryReceived
 from .observed import EVENT_REPORTS, Event, ObservedUnit
 from .reading import LiveReader, Reader
 from .recorder import Recorder
-from .transport import CyclicReceived, SlipTransport, Transport
+from .transport import CanFrameSeen, CyclicReceived, SlipTransport, Transport
 from .verification import NS_PER_S, State, Verification
 
 KEPT_PACKETS = 10_000
@@ -362,33 +362,29 @@ class Exchange:
         return taken
 
     def _pump(self) -> bool:
-        """Give the link what the transport has for it; called with the lock held. Whether anything came of
-        it.
-        """
+        """Give the link what the transport has for it; called with the lock held. As `_handle` says."""
         told = False
         while data := self.transport.outgoing(self._reader.now_ns()):
             taken = self.link.write(data)
-            events = self._protocol.written(taken, self._reader.now_ns())
-            self._handle(events)
-            told = told or bool(events)
-            if taken < len(data):
-                break
+            told |= self._handle(self._protocol.written(taken, self._reader.now_ns()))
         return told
 
     def _take(self, data: bytes, now_ns: int) -> bool:
-        """What the reader has read, or b"" when it is time; called with its lock held. Whether anything came
-        of it that somebody may wait for: on a CAN bus most frames are a piece of a packet.
-        """
-        events = self._protocol.receive(data, now_ns)
-        self._handle(events)
-        return self._pump() or bool(events)
+        """What the reader has read, or b"" when it is time; called with its lock held. As `_handle` says."""
+        told = self._handle(self._protocol.receive(data, now_ns))
+        return self._pump() or told
 
-    def _handle(self, events: Iterable[ObcEvent]) -> None:
+    def _handle(self, events: Iterable[ObcEvent]) -> bool:
+        """Whether something happened that a caller may wait for: on a CAN bus most frames that come are a
+        piece of a packet, or another's.
+        """
+        told = False
         for event in events:
+            told = told or not isinstance(event, CanFrameSeen) or event.sent
             if isinstance(event, TelemetryReceived):
                 self._received.append(Received(self._count(), event.telemetry, event.time_ns))
-                told = self.unit.take(event.telemetry, event.time_ns)
-                if told is not None and told.id == EventId.BOOT_COMPLETED:
+                reported = self.unit.take(event.telemetry, event.time_ns)
+                if reported is not None and reported.id == EventId.BOOT_COMPLETED:
                     self.cyclic_log.attitudes.restart()
                 if self._recorder is not None:
                     self._recorder.telemetry(event.telemetry, event.time_ns)
@@ -398,6 +394,7 @@ class Exchange:
                 self.unit.take_cyclic(event.name, event.values)
             if self._recorder is not None:
                 self._recorder.event(event)
+        return told
 
     def _count(self) -> int:
         self._next_number += 1
