@@ -63,22 +63,25 @@ class SocketPort:
             raise LinkError(self._gone)
         received = bytearray()
         receive = self._socket.recv
-        try:
-            for _ in range(MOST_FRAMES_A_READ):
+        for _ in range(MOST_FRAMES_A_READ):
+            try:
                 raw = receive(FD_FRAME.size, socket.MSG_DONTWAIT)
-                layout = FD_FRAME if len(raw) == FD_FRAME.size else CLASSIC_FRAME
-                word, length, flags, _, _, data = layout.unpack(raw)
-                # What the kernel leaves in the flags of a classic frame means nothing.
-                fd_flags = flags & 0x03 | FD_FLAG if layout is FD_FRAME else 0
-                received += RECORD_HEADER.pack(word, length, fd_flags, 0)
-                if not word & REMOTE_FLAG:
-                    received += data[:length]
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            gone = self._set_gone(error)
-            if not received:
-                raise gone from error
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if self._gone is not None:
+                    break
+                self._set_gone(error)  # said before what had come until then
+                continue
+            layout = FD_FRAME if len(raw) == FD_FRAME.size else CLASSIC_FRAME
+            word, length, flags, _, _, data = layout.unpack(raw)
+            # What the kernel leaves in the flags of a classic frame means nothing.
+            fd_flags = flags & 0x03 | FD_FLAG if layout is FD_FRAME else 0
+            received += RECORD_HEADER.pack(word, length, fd_flags, 0)
+            if not word & REMOTE_FLAG:
+                received += data[:length]
+        if not received and self._gone is not None:
+            raise LinkError(self._gone)
         if received:
             self._count_overruns()
         return bytes(received)
