@@ -74,6 +74,7 @@ class _Pending:
     key: tuple[int, ...]
     handle: int
     on_sent: Callable[[], None]
+    once: bool = False  # an attempt that fails is the last
 
 
 _OthersFrame = tuple[tuple[int, ...], int, CanFrame]  # its key and the order of arrival decide
@@ -191,6 +192,11 @@ class CanBus:
             self._waiting = [item for item in self._waiting if item[1] != handle]
             heapq.heapify(self._waiting)
         return True
+
+    def give_up(self, handle: int) -> None:
+        """As :meth:`cancel`; a frame that is on the wire is not sent again if this attempt fails."""
+        if not self.cancel(handle) and (pending := self._own.get(handle)) is not None:
+            pending.once = True
 
     def arrive(self, frame: CanFrame) -> None:
         """A frame, or an error message of the controller's driver, came from the link at the present time."""
@@ -314,7 +320,9 @@ class CanBus:
                 self._faults.transmission_failed(error)
             elif sent:
                 self._faults.transmission_succeeded()
-            if not sent:
+            if not sent and pending.once:
+                del self._own[pending.handle]
+            elif not sent:
                 heapq.heappush(self._waiting, (pending.key, pending.handle))
             self._follow_faults()
             if self._state is CanState.ERROR_PASSIVE:
@@ -331,7 +339,9 @@ class CanBus:
             self.counters.tx_frames += 1
             return True
         self.counters.tx_refused += 1
-        if pending.handle in self._own:
+        if pending.once:
+            self._own.pop(pending.handle, None)
+        elif pending.handle in self._own:
             self._held = pending
             self._retry = self._clock.after(RETRY_NS, self._offer_again)
         return False

@@ -286,11 +286,10 @@ class CanPort:
         if not self._handed_over:
             return
         awaited = self.connection.unconfirmed
-        for item in list(self._handed_over):
-            if item.given_up or not any(item.frame is frame for frame in awaited):
-                item.given_up = True  # one on the wire ends there, and nobody asks
-                if self.bus.cancel(item.handle):
-                    self._handed_over.remove(item)
+        for item in [item for item in self._handed_over if not any(item.frame is frame for frame in awaited)]:
+            self._handed_over.remove(item)
+            item.given_up = True
+            self.bus.give_up(item.handle)
 
     def _schedule(self) -> None:
         """Wake up at the next deadline. A timer that is too early stays: deadlines move with each frame."""
@@ -307,13 +306,14 @@ class CanPort:
         self._pump()
 
     def _frame_sent(self, item: _HandedOver) -> None:
+        if item.given_up:  # it was on the wire already
+            return
         self._handed_over.remove(item)
-        if not item.given_up:
-            kind = item.frame.data[0] >> 4
-            if kind != FLOW_CONTROL:
-                payload = len(item.frame.data) - (2 if kind == FIRST_FRAME else 1)
-                self._under_way_bytes = max(self._under_way_bytes - payload, 0)
-            self._handle(self.connection.confirmed(item.frame, self._clock.now_ns))
+        kind = item.frame.data[0] >> 4
+        if kind != FLOW_CONTROL:
+            payload = len(item.frame.data) - (2 if kind == FIRST_FRAME else 1)
+            self._under_way_bytes = max(self._under_way_bytes - payload, 0)
+        self._handle(self.connection.confirmed(item.frame, self._clock.now_ns))
         self._pump()
 
     def _handle(self, events: list[IsoTpEvent]) -> None:
