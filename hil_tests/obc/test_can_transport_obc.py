@@ -164,7 +164,14 @@ def test_what_the_unit_said_of_a_transfer_is_told(transport: CanTransport) -> No
     drain(transport, 100 * MS)
     transport.receive(CLEAR_TO_SEND, 100 * MS)
     drain(transport, 100 * MS)
-    _, waiting = protocol.telecommand("ping", {}, 100 * MS, timeout_ns=100 * MS)
+    _, unanswered = protocol.telecommand("ping", {}, 100 * MS, timeout_ns=10 * MS)
+    drain(transport, 100 * MS)
+    protocol.receive(record(UNIT, b"\x01\x00"), 105 * MS)  # telemetry goes on meanwhile
+    protocol.receive(b"", 110 * MS)
+    assert unanswered.transfer == "the unit has sent no flow control so far"
+    transport.receive(CLEAR_TO_SEND, 110 * MS)
+    drain(transport, 110 * MS)
+    _, waiting = protocol.telecommand("ping", {}, 110 * MS, timeout_ns=90 * MS)
     drain(transport, 100 * MS)
     protocol.receive(record(UNIT, b"\x31\x00\x00"), 150 * MS)
     protocol.receive(b"", 200 * MS)
