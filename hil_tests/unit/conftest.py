@@ -253,6 +253,7 @@ class CanBench(Bench):
     def advance(self, until_ns: int) -> None:
         """An OBC that answers at once: what it has to say goes onto the bus before time goes on."""
         while True:
+            self.peer.tick(self.emulator.now_ns)
             while self.peer.outbox:
                 self.emulator.receive(self.peer.outbox.popleft())
             due_ns = self.emulator.next_event_ns()

@@ -1,7 +1,12 @@
 """Whatever is commanded when: each accepted telecommand but RESET ends in exactly one report, before OFF."""
 
+from typing import Any
+
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from st_emulator.wire.can_wiring import CanWiring
 
 from .conftest import make
 
@@ -22,10 +27,18 @@ COMMANDS = st.sampled_from(
 )
 
 
+WIRES: dict[str, dict[str, Any]] = {
+    "serial line": {"wire": {"baud": 1_000_000}},
+    "CAN": {"can": CanWiring()},
+    "CAN FD in blocks": {"can": CanWiring(fd=True), "can_section": {"block_size": 2}},
+}
+
+
+@pytest.mark.parametrize("kind", WIRES)
 @settings(max_examples=25, deadline=None)
-@given(st.lists(st.tuples(COMMANDS, st.sampled_from([0, 1, 40, 130, 400, 900])), max_size=10))
-def test_every_request_ends(commands: list) -> None:
-    bench = make(wire={"baud": 1_000_000}).boot()
+@given(commands=st.lists(st.tuples(COMMANDS, st.sampled_from([0, 1, 40, 130, 400, 900])), max_size=10))
+def test_every_request_ends(kind: str, commands: list) -> None:
+    bench = make(**WIRES[kind]).boot()
     resets, counts = [], []
     for (name, fields), pause_ms in commands:
         count = bench.send(name, fields)

@@ -89,6 +89,17 @@ class Peer:
     _in_block: int = 0
     _sending: deque[bytes] = field(default_factory=deque)
     _pieces: deque[bytes] = field(default_factory=deque)
+    _now_ns: int = 0
+    _since_ns: int = 0
+
+    def tick(self, now_ns: int) -> None:
+        """N_Bs is 1 s: a telecommand that got no flow control is given up."""
+        self._now_ns = now_ns
+        if self._sending and not self.outbox and now_ns - self._since_ns >= 10**9:
+            self._sending.popleft()
+            self._pieces.clear()
+            if self._sending:
+                self._begin()
 
     def put(self, payload: bytes) -> None:
         self.said.append(payload)
@@ -105,6 +116,7 @@ class Peer:
             self._begin()
 
     def _begin(self) -> None:
+        self._since_ns = self._now_ns
         packet = self._sending[0]
         room = self.frame_bytes
         if len(packet) <= 7:
@@ -123,6 +135,7 @@ class Peer:
         self._sequence = 0
 
     def _go_on(self, block_size: int) -> None:
+        self._since_ns = self._now_ns
         count = block_size or len(self._pieces)
         for _ in range(min(count, len(self._pieces))):
             self._sequence = (self._sequence + 1) & 15
