@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from .catalogue.pairs import PairCatalogue
-from .catalogue.star_catalogue import StarCatalogue
+from .catalogue.tables import StarTables
 from .geometry import CameraGeometry
 from .identification.interface import IdentificationAlgorithm, IdentificationParameters
 from .identification.pyramid import identify as identify_by_pyramid
@@ -86,16 +84,3 @@ class FirmwareConfiguration:
     aberration_correction: bool = True
     velocity_km_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     solved_validity_ns: int = 2_000_000_000
-
-
-@dataclass(frozen=True)
-class StarTables:
-    """The catalogue in the unit's memory: one for both modes, with its pairs for lost in space."""
-
-    catalogue: StarCatalogue
-    pairs: PairCatalogue
-
-    def arrays(self) -> tuple[npt.NDArray[Any], ...]:
-        """All arrays in a fixed order: what a check of the memory is taken over."""
-        named = self.catalogue.to_arrays() | self.pairs.to_arrays()
-        return tuple(named[name] for name in sorted(named))

@@ -12,7 +12,7 @@ from .aberration import SPEED_OF_LIGHT_KM_S, apparent_kernel, earth_velocity_km_
 from .attitude import AttitudeSolution, angular_rate, robust_q_method
 from .configuration import FirmwareConfiguration, StarTables
 from .frame_result import NO_RECTS, FirmwareState, FrameContext, FrameResult, IdentifiedStars
-from .identification.interface import Identification
+from .identification.interface import Identification, Spikes
 from .image.detection import DetectionParameters, detect
 from .image.frame import Frame
 from .image.spots import Spots, WindowStatus
@@ -111,7 +111,7 @@ def _find(
     if configuration.geometry.distorted:
         work.add("distortions_removed", len(used))
     identification, identification_work = configuration.identify(
-        b_vectors, used.magnitude, tables.catalogue, tables.pairs, configuration.identification
+        Spikes(b_vectors, used.magnitude), tables, configuration.identification
     )
     work += identification_work
     if identification.reason != Reason.NONE:

@@ -24,6 +24,7 @@ class Reason(IntFlag):
     WORK_LIMIT = 1024
     NO_FRAME = 2048
     TOO_MANY_SPOTS = 4096
+    UNCONFIRMED = 8192
 
 
 REASON_MEANINGS: dict[Reason, str] = {
@@ -40,4 +41,5 @@ REASON_MEANINGS: dict[Reason, str] = {
     Reason.WORK_LIMIT: "identification gave up at its limit of work",
     Reason.NO_FRAME: "the sensor gave no image",
     Reason.TOO_MANY_SPOTS: "the image gave more spots or runs than the tables hold",
+    Reason.UNCONFIRMED: "stars are identified, but too few to be sure of them",
 }

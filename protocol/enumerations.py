@@ -37,6 +37,7 @@ class Reason(IntFlag):
     WORK_LIMIT = 1024
     NO_FRAME = 2048
     TOO_MANY_SPOTS = 4096
+    UNCONFIRMED = 8192
 
 
 class CanState(IntEnum):
@@ -333,6 +334,7 @@ _MEANINGS: tuple[tuple[Enum, str], ...] = (
     (Reason.WORK_LIMIT, "the search was cut off at its work limit"),
     (Reason.NO_FRAME, "the sensor delivered no frame"),
     (Reason.TOO_MANY_SPOTS, "more spots than the unit handles"),
+    (Reason.UNCONFIRMED, "stars were identified, but too few of them to be sure"),
     (FailureCode.UNKNOWN_APID, "no application process of this APID here (reported by 1,10); data: the APID"),
     (FailureCode.LENGTH, "packet too short, too long or not of the length it states; data: bytes received"),
     (FailureCode.CRC, "packet error control does not match; data: CRC received"),

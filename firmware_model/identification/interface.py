@@ -9,13 +9,52 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ..catalogue.pairs import PairCatalogue
-from ..catalogue.star_catalogue import StarCatalogue
+from ..catalogue.tables import StarTables
 from ..reasons import Reason
 from ..work import Work
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Spikes:
+    """What was detected in an image, brightest first.
+
+    b_vectors: float64[n, 3], unit vectors in the sensor frame. magnitudes: float64[n], as measured.
+    """
+
+    b_vectors: FloatArray
+    magnitudes: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.b_vectors)
+
+
+@dataclass(frozen=True)
+class BrightnessParameters:
+    """Of the brightness-referenced algorithm (Zhang et al. 2014).
+
+    distinct_mag: of two spikes whose magnitudes differ by more than this (gamma of the paper, there of
+        intensities) the brighter one is the brighter star of its catalogue pair; of others either may be.
+        ASSUMED: 0.7, the largest error of a magnitude that the paper saw in flight.
+    bright_limit_mag: M_t, the reference (three-star) mode is for images whose brightest star is over it.
+    """
+
+    distinct_mag: float = 0.7
+    bright_limit_mag: float = 3.0
+
+
+@dataclass(frozen=True)
+class MultiPolesParameters:
+    """Of the improved multi-poles algorithm.
+
+    magnitude_tolerance: eps_m of its equation (38). ASSUMED: 0.7; the paper prints none.
+    least_recognised: t*, so many stars accepted by two poles are recognised (table 1 of the paper: 5).
+    """
+
+    magnitude_tolerance: float = 0.7
+    least_recognised: int = 5
 
 
 @dataclass(frozen=True)
@@ -36,6 +75,7 @@ class IdentificationParameters:
     most_false_solutions: a solution counts only if chance would give fewer solutions as good as it per image.
     certain_false_solutions: below this the search ends; above it goes on and looks for a rival.
     max_triads, max_pairs_compared: the limits of work.
+    brightness, multi_poles: of those algorithms alone.
     """
 
     tolerance_rad: float
@@ -48,6 +88,8 @@ class IdentificationParameters:
     certain_false_solutions: float = 1e-9
     max_triads: int = 10_000
     max_pairs_compared: int = 3_000_000
+    brightness: BrightnessParameters = BrightnessParameters()
+    multi_poles: MultiPolesParameters = MultiPolesParameters()
 
     def __post_init__(self) -> None:
         if not 0.0 < self.tolerance_rad < 0.1:
@@ -86,13 +128,11 @@ class IdentificationAlgorithm(Protocol):
 
     def __call__(
         self,
-        b_vectors: FloatArray,
-        magnitudes: FloatArray,
-        catalogue: StarCatalogue,
-        pair_catalogue: PairCatalogue,
+        spikes: Spikes,
+        catalogue: StarTables,
         parameters: IdentificationParameters,
     ) -> tuple[Identification, Work]:
-        """b_vectors[n, 3]: unit vectors in the sensor frame, brightest first; magnitudes[n]: as measured."""
+        """Which star of the catalogue each spike is, and what it took to find out."""
 
 
 def no_identification(spots: int, reason: Reason) -> Identification:

@@ -18,11 +18,17 @@ import numpy as np
 import numpy.typing as npt
 
 from ..catalogue.kvector import range_kernel
-from ..catalogue.pairs import PairCatalogue
-from ..catalogue.star_catalogue import StarCatalogue
+from ..catalogue.tables import StarTables
 from ..reasons import Reason
 from ..work import Work
-from .interface import FloatArray, Identification, IdentificationParameters, IntArray, no_identification
+from .interface import (
+    FloatArray,
+    Identification,
+    IdentificationParameters,
+    IntArray,
+    Spikes,
+    no_identification,
+)
 from .verification import (
     ANGLES_COMPUTED,
     CANDIDATES_MARKED,
@@ -48,29 +54,25 @@ _NO_FIELD = np.zeros((0, 3))
 
 
 def identify(
-    b_vectors: FloatArray,
-    magnitudes: FloatArray,
-    catalogue: StarCatalogue,
-    pair_catalogue: PairCatalogue,
-    parameters: IdentificationParameters,
+    spikes: Spikes, catalogue: StarTables, parameters: IdentificationParameters
 ) -> tuple[Identification, Work]:
     """Identify spots by the pyramid algorithm; see `IdentificationAlgorithm` for the contract."""
-    spots = len(b_vectors)
+    spots = len(spikes)
     if spots < 4:
         return no_identification(spots, Reason.TOO_FEW_STARS), Work()
-    b = np.ascontiguousarray(b_vectors, np.float64)
-    measured_mag = np.ascontiguousarray(magnitudes, np.float64)
+    b = np.ascontiguousarray(spikes.b_vectors, np.float64)
+    measured_mag = np.ascontiguousarray(spikes.magnitudes, np.float64)
     star_index = np.full(spots, -1, np.int32)
     q = np.zeros(4)
     counts = np.zeros(len(COUNT_NAMES), np.int64)
-    cells = catalogue.cells
-    kvector = pair_catalogue.kvector
+    stars, pair_catalogue = catalogue.catalogue, catalogue.pairs
+    cells, kvector = stars.cells, pair_catalogue.kvector
     outcome, matched, expected, seen, chance = _pyramid_kernel(
         b,
         measured_mag,
         (
-            catalogue.unit_vectors,
-            catalogue.hp_mag,
+            stars.unit_vectors,
+            stars.hp_mag,
             cells.band_height_rad,
             cells.band_first_cell,
             cells.cell_start,

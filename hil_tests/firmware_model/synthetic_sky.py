@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from st_emulator.firmware_model.catalogue.pairs import PairCatalogue, build_pair_catalogue
 from st_emulator.firmware_model.catalogue.star_catalogue import StarCatalogue, build_star_catalogue
+from st_emulator.firmware_model.catalogue.tables import StarTables
 from st_emulator.firmware_model.geometry import CameraGeometry
 
 ARCSEC = np.pi / 180 / 3600
@@ -87,6 +88,11 @@ class SyntheticSky:
     def pairs(self) -> PairCatalogue:
         """All pairs that fit into the field."""
         return build_pair_catalogue(self.catalogue, 2.0 * self.camera.half_diagonal_rad)
+
+    @cached_property
+    def tables(self) -> StarTables:
+        """Catalogue and pairs."""
+        return StarTables(self.catalogue, self.pairs)
 
     def view(self, q: Array, border_px: float = 3.0) -> View:
         """Stars in the image (pinhole, written out), at least border_px from its edge."""

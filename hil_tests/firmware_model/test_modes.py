@@ -54,7 +54,7 @@ def test_the_numbers_are_those_of_the_telemetry() -> None:
     assert [mode.value for mode in Mode] == [0, 1, 2, 3, 4, 5, 6]
     assert [event.value for event in ModeEvent] == list(range(15))
     names = "TOO_FEW_STARS NO_MATCH BLINDED RATE_TOO_HIGH OVERRUN NOT_ACQUIRING FRAME_DROPPED PIVOT_LOST "
-    names += "RESIDUAL_TOO_LARGE AMBIGUOUS WORK_LIMIT NO_FRAME TOO_MANY_SPOTS"
+    names += "RESIDUAL_TOO_LARGE AMBIGUOUS WORK_LIMIT NO_FRAME TOO_MANY_SPOTS UNCONFIRMED"
     assert {name: 1 << bit for bit, name in enumerate(names.split())} == {r.name: r.value for r in Reason}
 
 

@@ -22,8 +22,13 @@ from hil_tests.firmware_model.synthetic_sky import (
 )
 from st_emulator.firmware_model.catalogue.pairs import build_pair_catalogue
 from st_emulator.firmware_model.catalogue.star_catalogue import build_star_catalogue
+from st_emulator.firmware_model.catalogue.tables import StarTables
 from st_emulator.firmware_model.geometry import CameraGeometry
-from st_emulator.firmware_model.identification.interface import Identification, IdentificationParameters
+from st_emulator.firmware_model.identification.interface import (
+    Identification,
+    IdentificationParameters,
+    Spikes,
+)
 from st_emulator.firmware_model.identification.pyramid import identify
 from st_emulator.firmware_model.identification.verification import false_solutions_kernel
 from st_emulator.firmware_model.reasons import Reason
@@ -62,7 +67,7 @@ def measure(
 
 def solve(name: str, b: np.ndarray, magnitude: np.ndarray, **changes: object) -> tuple[Identification, Work]:
     parameters = replace(PARAMETERS[name], **changes)  # type: ignore[arg-type]
-    return identify(b, magnitude, sky(name).catalogue, sky(name).pairs, parameters)
+    return identify(Spikes(b, magnitude), sky(name).tables, parameters)
 
 
 def some(view: View, count: int) -> View:
@@ -80,7 +85,7 @@ def test_the_compiled_loop_gives_what_the_plain_version_gives(seed: int) -> None
     b, magnitude, _ = measure(rng, camera, seen, 0.1, false=seed % 5)
     tolerance = 100 * ARCSEC
     parameters = IdentificationParameters(tolerance, magnitude_tolerance=99.0, most_false_solutions=1e-3)
-    found, _ = identify(b, magnitude, made.catalogue, made.pairs, parameters)
+    found, _ = identify(Spikes(b, magnitude), made.tables, parameters)
     reason, star = reference_pyramid.identify(
         b, made.catalogue.unit_vectors, tolerance, max_angle=made.pairs.max_angle_rad, most_false=1e-3
     )
@@ -203,14 +208,17 @@ def test_a_pattern_that_stands_twice_in_the_sky_is_ambiguous() -> None:
         )
         pairs = build_pair_catalogue(catalogue, 2 * NARROW.half_diagonal_rad)
         parameters = IdentificationParameters(8 * ARCSEC, certain_false_solutions=1e-30)
-        found, _ = identify(b, np.full(stars, 5.0), catalogue, pairs, parameters)
+        found, _ = identify(Spikes(b, np.full(stars, 5.0)), StarTables(catalogue, pairs), parameters)
         assert found.reason == Reason.AMBIGUOUS
         assert (found.star_index == -1).all()
         one_of_them = build_star_catalogue(
             np.arange(len(vectors) - stars), vectors[stars:], np.full(len(vectors) - stars, 5.0), 6.9, 0.0
         )
         pairs = build_pair_catalogue(one_of_them, 2 * NARROW.half_diagonal_rad)
-        assert identify(b, np.full(stars, 5.0), one_of_them, pairs, parameters)[0].reason == Reason.NONE
+        assert (
+            identify(Spikes(b, np.full(stars, 5.0)), StarTables(one_of_them, pairs), parameters)[0].reason
+            == Reason.NONE
+        )
 
 
 def test_work_ends_at_its_limit() -> None:
@@ -285,10 +293,8 @@ def test_stars_that_must_be_seen_are_missed() -> None:
     b = vectors_of(WIDE, view.x_px[dim], view.y_px[dim])
     assert solve("wide", b, view.magnitude[dim])[0].reason == Reason.NO_MATCH
     found, _ = identify(
-        b,
-        view.magnitude[dim],
-        sky("wide").catalogue,
-        sky("wide").pairs,
+        Spikes(b, view.magnitude[dim]),
+        sky("wide").tables,
         replace(PARAMETERS["wide"], field_normals=None),
     )
     assert found.reason == Reason.NONE
@@ -317,9 +323,8 @@ def test_false_solutions_of_random_images_are_as_many_as_expected() -> None:
     images, spots, solved, expected = 300, 5, 0, 0.0
     for _ in range(images):
         b = vectors_of(NARROW, rng.uniform(0, 752, spots), rng.uniform(0, 480, spots))
-        solved += (
-            identify(b, np.full(spots, 5.0), crowded.catalogue, crowded.pairs, parameters)[0].verified >= 4
-        )
+        found, _ = identify(Spikes(b, np.full(spots, 5.0)), crowded.tables, parameters)
+        solved += found.verified >= 4
         expected += reference_pyramid.chance(12_500, spots, 4, 0.05, tolerance)
     assert expected / 5 < solved < expected * 5  # an order of magnitude is what the formula is for
 

@@ -1,0 +1,13 @@
+"""The identification algorithms by the names that unit files give them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from . import pyramid
+from .interface import IdentificationAlgorithm
+
+ALGORITHMS: Final[Mapping[str, IdentificationAlgorithm]] = {
+    "pyramid": pyramid.identify,
+}
