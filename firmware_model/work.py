@@ -147,5 +147,9 @@ class Work:
                 grouped[COUNTS[name].stage][name] = number
         return {stage: counts for stage, counts in grouped.items() if counts}
 
+    def operations(self, stage: str = "identification") -> int:
+        """Sum of all counts of a stage: its elementary steps, whatever each may cost."""
+        return sum(number for name, number in self.counts.items() if COUNTS[name].stage == stage)
+
     def __repr__(self) -> str:
         return f"Work({self.counts!r})"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -73,8 +73,13 @@ class IdentificationParameters:
         matches; of fewer than 6 matches at most one may be odd. ASSUMED: 1.5, twice the largest error of
         Zhang et al. 2014 (0.7).
     most_false_solutions: a solution counts only if chance would give fewer solutions as good as it per image.
+    most_false_triangles: the same for three stars alone, which are never valid (UNCONFIRMED). ASSUMED: 0.01,
+        so that what is called unconfirmed is right far more often than not.
     certain_false_solutions: below this the search ends; above it goes on and looks for a rival.
-    max_triads, max_pairs_compared: the limits of work.
+    max_triads, max_pairs_compared: limits of the pyramid's work.
+    max_operations: limit of the work of any algorithm, the sum of all its counts of the stage
+        identification (`Work.operations`); looked at once per outer step, so it is passed by one step at
+        most. A search that reaches it ends with WORK_LIMIT.
     brightness, multi_poles: of those algorithms alone.
     """
 
@@ -85,9 +90,11 @@ class IdentificationParameters:
     least_seen_share: float = 0.5
     magnitude_tolerance: float = 1.5
     most_false_solutions: float = 1e-5
+    most_false_triangles: float = 1e-2
     certain_false_solutions: float = 1e-9
     max_triads: int = 10_000
     max_pairs_compared: int = 3_000_000
+    max_operations: int = 1_000_000_000
     brightness: BrightnessParameters = BrightnessParameters()
     multi_poles: MultiPolesParameters = MultiPolesParameters()
 
@@ -98,16 +105,18 @@ class IdentificationParameters:
             raise ValueError(f"min_stars {self.min_stars}: a triangle alone is never valid, 4 is the least")
         if self.max_spots < 4:
             raise ValueError(f"max_spots {self.max_spots}: a pyramid needs 4")
+        if self.max_operations < 0:
+            raise ValueError(f"max_operations {self.max_operations} is negative")
 
 
 @dataclass(frozen=True)
 class Identification:
     """Outcome of an identification.
 
-    star_index: int32[n], row of the star catalogue for each spot, -1 where none; all -1 unless reason is
-        NONE.
+    star_index: int32[n], row of the star catalogue for each spot, -1 where none; all -1 unless identified.
     verified: number of spots with a star.
-    reason: NONE, or why nothing was identified: TOO_FEW_STARS, NO_MATCH, AMBIGUOUS or WORK_LIMIT.
+    reason: NONE; UNCONFIRMED (three stars, whose attitude is not to be relied on); or why nothing was
+        identified: TOO_FEW_STARS, NO_MATCH, AMBIGUOUS or WORK_LIMIT.
     q_icrs_to_sensor: float64[4], attitude from the matches at equal weights; None without a solution.
     false_solutions: how many solutions as good as this one chance gives per image (inf without a solution).
     expected: catalogue stars in the field that are brighter than the middle one of those matched; seen: of
@@ -121,6 +130,11 @@ class Identification:
     false_solutions: float = math.inf
     expected: int = 0
     seen: int = 0
+
+    @property
+    def identified(self) -> bool:
+        """Whether stars were identified, be it only three."""
+        return self.reason in (Reason.NONE, Reason.UNCONFIRMED)
 
 
 class IdentificationAlgorithm(Protocol):
@@ -138,3 +152,30 @@ class IdentificationAlgorithm(Protocol):
 def no_identification(spots: int, reason: Reason) -> Identification:
     """The outcome without a solution."""
     return Identification(np.full(spots, -1, np.int32), 0, reason)
+
+
+def usable_spikes(spikes: Spikes) -> tuple[Spikes, IntArray]:
+    """The spikes that can be matched at all, C-contiguous, and their places: int32[m] in what was given.
+
+    Left out, and so never matched: spikes with a NaN or an infinity in direction or magnitude, and with a
+    direction that is no unit vector (by more than 1e-6).
+    """
+    b = np.ascontiguousarray(spikes.b_vectors, np.float64).reshape(-1, 3)
+    magnitudes = np.ascontiguousarray(spikes.magnitudes, np.float64)
+    # NaN and infinity fail the comparison of the length as well.
+    with np.errstate(over="ignore", invalid="ignore"):
+        usable = np.abs(np.einsum("ij,ij->i", b, b) - 1.0) <= 2e-6
+    usable &= np.isfinite(magnitudes)
+    places = np.flatnonzero(usable).astype(np.int32)
+    if len(places) == len(b):
+        return Spikes(b, magnitudes), places
+    return Spikes(b[places], magnitudes[places]), places
+
+
+def for_all_spikes(identification: Identification, places: IntArray, spots: int) -> Identification:
+    """An identification of the spikes at `places` (see `usable_spikes`) as one of all `spots` spikes."""
+    if len(places) == spots:
+        return identification
+    star_index = np.full(spots, -1, np.int32)
+    star_index[places] = identification.star_index
+    return replace(identification, star_index=star_index)

@@ -27,7 +27,9 @@ from .interface import (
     IdentificationParameters,
     IntArray,
     Spikes,
+    for_all_spikes,
     no_identification,
+    usable_spikes,
 )
 from .verification import (
     ANGLES_COMPUTED,
@@ -41,6 +43,7 @@ from .verification import (
     TRIADS_TESTED,
     TRIANGLES_TESTED,
     CountArray,
+    exhausted_kernel,
     false_solutions_kernel,
     refine_kernel,
     spread_kernel,
@@ -57,11 +60,11 @@ def identify(
     spikes: Spikes, catalogue: StarTables, parameters: IdentificationParameters
 ) -> tuple[Identification, Work]:
     """Identify spots by the pyramid algorithm; see `IdentificationAlgorithm` for the contract."""
-    spots = len(spikes)
+    usable, places = usable_spikes(spikes)
+    b, measured_mag = usable.b_vectors, usable.magnitudes
+    spots = len(usable)
     if spots < 4:
-        return no_identification(spots, Reason.TOO_FEW_STARS), Work()
-    b = np.ascontiguousarray(spikes.b_vectors, np.float64)
-    measured_mag = np.ascontiguousarray(spikes.magnitudes, np.float64)
+        return no_identification(len(spikes), Reason.TOO_FEW_STARS), Work()
     star_index = np.full(spots, -1, np.int32)
     q = np.zeros(4)
     counts = np.zeros(len(COUNT_NAMES), np.int64)
@@ -96,16 +99,16 @@ def identify(
         parameters.certain_false_solutions,
         parameters.max_triads,
         parameters.max_pairs_compared,
+        parameters.max_operations,
         star_index,
         q,
         counts,
     )
     work = work_of(counts)
     if outcome != _SOLVED:
-        return no_identification(spots, _REASONS[outcome]), work
-    return Identification(
-        star_index, int(matched), Reason.NONE, q, float(chance), int(expected), int(seen)
-    ), work
+        return no_identification(len(spikes), _REASONS[outcome]), work
+    found = Identification(star_index, int(matched), Reason.NONE, q, float(chance), int(expected), int(seen))
+    return for_all_spikes(found, places, len(spikes)), work
 
 
 @numba.njit(cache=True, nogil=True)
@@ -231,6 +234,7 @@ def _pyramid_kernel(
     certain_false_solutions: float,
     max_triads: int,
     max_pairs_compared: int,
+    max_operations: int,
     star_index: IntArray,
     q: FloatArray,
     counts: CountArray,
@@ -259,7 +263,11 @@ def _pyramid_kernel(
             for i in range(spots - dj - dk):
                 j = i + dj
                 k = j + dk
-                if counts[TRIADS_TESTED] >= max_triads or counts[PAIRS_COMPARED] >= max_pairs_compared:
+                if (
+                    counts[TRIADS_TESTED] >= max_triads
+                    or counts[PAIRS_COMPARED] >= max_pairs_compared
+                    or exhausted_kernel(counts, max_operations)
+                ):
                     limited = True
                     break
                 counts[TRIADS_TESTED] += 1

@@ -29,6 +29,7 @@ COUNT_NAMES = (
     "triangles_tested",
     "pyramids_tested",
     "candidates_marked",
+    "votes",
     "magnitudes_compared",
     "catalogue_angles",
     "spots_confirmed",
@@ -37,9 +38,11 @@ COUNT_NAMES = (
     "qmethod_solves",
 )
 KVECTOR_QUERIES, KVECTOR_HITS, ANGLES_COMPUTED, PAIRS_COMPARED = range(4)
-TRIADS_TESTED, TRIANGLES_TESTED, PYRAMIDS_TESTED, CANDIDATES_MARKED = range(4, 8)
-MAGNITUDES_COMPARED, CATALOGUE_ANGLES, SPOTS_CONFIRMED, TRIAL_STARS_PROJECTED = range(8, 12)
-QMETHOD_STARS, QMETHOD_SOLVES = range(12, 14)
+TRIADS_TESTED, TRIANGLES_TESTED, PYRAMIDS_TESTED, CANDIDATES_MARKED, VOTES = range(4, 9)
+MAGNITUDES_COMPARED, CATALOGUE_ANGLES, SPOTS_CONFIRMED, TRIAL_STARS_PROJECTED = range(9, 13)
+QMETHOD_STARS, QMETHOD_SOLVES = range(13, 15)
+
+OPERATIONS = 13  # the counts before this one are the stage identification's
 
 FEW_MATCHES = 6  # below this, brightness is looked at too
 MOST_NEAR = 256  # stars near one spot: more than any catalogue holds within a tolerance
@@ -48,6 +51,15 @@ MOST_NEAR = 256  # stars near one spot: more than any catalogue holds within a t
 def work_of(counts: CountArray) -> Work:
     """The kernels' counts by name."""
     return Work({name: int(count) for name, count in zip(COUNT_NAMES, counts, strict=True) if count})
+
+
+@numba.njit(cache=True, nogil=True)
+def exhausted_kernel(counts: CountArray, max_operations: int) -> bool:
+    """Whether the work of the stage identification has reached its limit."""
+    operations = 0
+    for place in range(OPERATIONS):
+        operations += counts[place]
+    return operations >= max_operations
 
 
 @numba.njit(cache=True, nogil=True)
