@@ -80,6 +80,8 @@ class IdentificationParameters:
     max_operations: limit of the work of any algorithm, the sum of all its counts of the stage
         identification (`Work.operations`); looked at once per outer step, so it is passed by one step at
         most. A search that reaches it ends with WORK_LIMIT.
+    max_cycles, count_cycles: the same limit in the processor's time: float64[14], cycles of one of each of
+        `verification.COUNT_NAMES` (those of the attitudes tried included); None: no limit.
     brightness, multi_poles: of those algorithms alone.
     """
 
@@ -95,6 +97,8 @@ class IdentificationParameters:
     max_triads: int = 10_000
     max_pairs_compared: int = 3_000_000
     max_operations: int = 1_000_000_000
+    max_cycles: float = math.inf
+    count_cycles: FloatArray | None = field(default=None, compare=False)
     brightness: BrightnessParameters = BrightnessParameters()
     multi_poles: MultiPolesParameters = MultiPolesParameters()
 
@@ -107,6 +111,12 @@ class IdentificationParameters:
             raise ValueError(f"max_spots {self.max_spots}: a pyramid needs 4")
         if self.max_operations < 0:
             raise ValueError(f"max_operations {self.max_operations} is negative")
+
+    @property
+    def work_limit(self) -> FloatArray:
+        """For `verification.exhausted_kernel`: max_operations, max_cycles, cycles of one of each count."""
+        cycles = () if self.count_cycles is None else self.count_cycles
+        return np.array([self.max_operations, self.max_cycles, *cycles])
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ def identify(
         parameters.certain_false_solutions,
         parameters.max_triads,
         parameters.max_pairs_compared,
-        parameters.max_operations,
+        parameters.work_limit,
         star_index,
         q,
         counts,
@@ -234,7 +234,7 @@ def _pyramid_kernel(
     certain_false_solutions: float,
     max_triads: int,
     max_pairs_compared: int,
-    max_operations: int,
+    work_limit: FloatArray,
     star_index: IntArray,
     q: FloatArray,
     counts: CountArray,
@@ -266,7 +266,7 @@ def _pyramid_kernel(
                 if (
                     counts[TRIADS_TESTED] >= max_triads
                     or counts[PAIRS_COMPARED] >= max_pairs_compared
-                    or exhausted_kernel(counts, max_operations)
+                    or exhausted_kernel(counts, work_limit)
                 ):
                     limited = True
                     break

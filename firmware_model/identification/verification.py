@@ -54,12 +54,17 @@ def work_of(counts: CountArray) -> Work:
 
 
 @numba.njit(cache=True, nogil=True)
-def exhausted_kernel(counts: CountArray, max_operations: int) -> bool:
-    """Whether the work of the stage identification has reached its limit."""
+def exhausted_kernel(counts: CountArray, limit: FloatArray) -> bool:
+    """Whether the work has reached its limit, which is `IdentificationParameters.work_limit`."""
     operations = 0
     for place in range(OPERATIONS):
         operations += counts[place]
-    return operations >= max_operations
+    if operations >= limit[0]:
+        return True
+    cycles = 0.0
+    for place in range(len(limit) - 2):
+        cycles += counts[place] * limit[2 + place]
+    return cycles >= limit[1]
 
 
 @numba.njit(cache=True, nogil=True)
