@@ -96,7 +96,8 @@ def test_magnitudes_as_in_flight():
     true, error = magnitude_errors(MagnitudeNoise.FLIGHT)
     off = np.isclose(np.abs(error), 0.7)
     intensity = 10 ** (-0.4 * error[~off])
-    assert 0.69 <= intensity.min() < 0.72 and 1.28 < intensity.max() <= 1.31
+    assert 0.69 <= intensity.min() < 0.72
+    assert 1.28 < intensity.max() <= 1.31
     assert np.all(true[off] > 3.0)
     assert np.mean(off[true > 3.0]) == pytest.approx(0.1, abs=0.02)
     assert np.mean(error[off] < 0) == pytest.approx(0.9, abs=0.04)
@@ -115,22 +116,26 @@ def test_false_stars_lie_in_the_field_and_leave_the_true_ones_as_they_are(circul
         assert np.array_equal(mixed.true_rows[true], plain.true_rows)
         assert np.all(np.diff(mixed.magnitudes) >= 0)
         places.append(mixed.b_vectors[~true])
-        assert mixed.magnitudes[~true].max() < 5.0 and mixed.magnitudes[~true].min() > -1.5
+        assert mixed.magnitudes[~true].max() < 5.0
+        assert mixed.magnitudes[~true].min() > -1.5
     v = np.concatenate(places)
     if circular:
         # evenly over the cap: the cosine is even
         z = (v[:, 2] - np.cos(np.radians(10))) / (1 - np.cos(np.radians(10)))
-        assert z.min() >= 0 and np.histogram(z, 4, (0, 1))[0] == pytest.approx([500] * 4, abs=80)
+        assert z.min() >= 0
+        assert np.histogram(z, 4, (0, 1))[0] == pytest.approx([500] * 4, abs=80)
     else:
         plane = v[:, :2] / v[:, 2:] / np.tan(np.radians(10))
         counts = np.histogram2d(plane[:, 0], plane[:, 1], 2, [(-1, 1), (-1, 1)])[0]
-        assert counts.sum() == 2000 and counts == pytest.approx(np.full((2, 2), 500), abs=80)
+        assert counts.sum() == 2000
+        assert counts == pytest.approx(np.full((2, 2), 500), abs=80)
 
 
 def test_most_spikes_keeps_the_brightest():
     all_of_them = make_scene(CATALOGUE, SceneSettings(20.0, false_stars=3), 4, 7)
     cut = make_scene(CATALOGUE, SceneSettings(20.0, false_stars=3, most_spikes=5), 4, 7)
-    assert len(cut.spikes) == 5 and cut.stars == all_of_them.stars
+    assert len(cut.spikes) == 5
+    assert cut.stars == all_of_them.stars
     assert np.array_equal(cut.b_vectors, all_of_them.b_vectors[:5])
 
 
