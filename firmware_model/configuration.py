@@ -13,6 +13,7 @@ from .geometry import CameraGeometry
 from .identification.interface import IdentificationAlgorithm, IdentificationParameters
 from .identification.pyramid import identify as identify_by_pyramid
 from .image.detection import DetectionParameters
+from .image.interpolation import interpolation_errors
 from .tracking import TrackingParameters
 
 FloatArray = npt.NDArray[np.float64]
@@ -31,20 +32,29 @@ __all__ = [
 class CentroidError:
     """Expected error of a centroid, for the weights of the attitude and its covariance.
 
-    Each axis: sigma^2 = floor_px^2 + (psf_sigma_px^2) / (flux electrons) + (window_factor noise / flux)^2:
+    Each axis: sigma^2 = floor_px^2 + psf_sigma_px^2 / (flux electrons) + (window_factor noise / flux)^2:
     what the pixels leave over, the photons of the star, and the noise of the background in the window of
     the centre of mass, where window_factor = sqrt(sum x^2) = (2 h + 1) sqrt(h (h + 1) / 3) of a square
-    window of half-width h.
+    window of half-width h. interpolated: the centroids are those of Gaussian interpolation, whose two
+    columns take more from the photons and less from the background (`interpolation_errors`).
     """
 
     floor_px: float = 0.01
     psf_sigma_px: float = 0.7
     electrons_per_dn: float = 1.0
     half_window_px: int = 2
+    interpolated: bool = False
+
+    @property
+    def photon_px(self) -> float:
+        """Error of a star of one electron by its photons alone."""
+        return interpolation_errors(self.psf_sigma_px)[0] if self.interpolated else self.psf_sigma_px
 
     @property
     def window_factor(self) -> float:
         """sqrt of the sum of x^2 over the window."""
+        if self.interpolated:
+            return interpolation_errors(self.psf_sigma_px)[1]
         h = self.half_window_px
         return (2.0 * h + 1.0) * math.sqrt(h * (h + 1.0) / 3.0)
 
@@ -53,7 +63,7 @@ class CentroidError:
         flux = np.maximum(flux_dn, 1.0)
         variance = (
             self.floor_px**2
-            + self.psf_sigma_px**2 / (flux * self.electrons_per_dn)
+            + self.photon_px**2 / (flux * self.electrons_per_dn)
             + np.square(self.window_factor * noise_dn / flux)
         )
         return np.asarray(np.sqrt(variance))

@@ -275,6 +275,8 @@ def firmware_configuration(
         exposure_s=exposure_us * 1e-6,
         saturation_dn=saturation_dn,
         window_sigma_factor=profile.detection.window_sigma,
+        centroid=profile.detection.centroid,
+        psf_sigma_px=profile.optics.psf_sigma_px,  # ASSUMED: the calibration holds it exactly
     )
     return FirmwareConfiguration(
         geometry=geometry,
@@ -298,6 +300,7 @@ def firmware_configuration(
             psf_sigma_px=profile.optics.psf_sigma_px,
             electrons_per_dn=detector.electrons_per_dn,
             half_window_px=int(parameters["centroid_half_window_px"]),
+            interpolated=profile.detection.centroid == "gaussian",
         ),
         blinded_background_dn=float(parameters["blinded_background_dn"]),
         aberration_correction=bool(parameters["aberration_correction"]),

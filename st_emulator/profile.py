@@ -128,6 +128,7 @@ class Detection(Section):
     min_pixels: Annotated[int, Field(ge=1, le=50)]
     max_pixels: Annotated[int, Field(ge=10, le=100000)]
     centroid_half_window_px: Annotated[int, Field(ge=1, le=7)]
+    centroid: Literal["com", "gaussian"] = "com"
     magnitude_limit: Annotated[float, Field(ge=0, le=10)]
     blinded_background_dn: Annotated[int, Field(ge=1, le=65535)]
 

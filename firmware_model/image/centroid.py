@@ -1,4 +1,7 @@
-"""Centre of mass of a spot, paper Z eqs. (1)-(3): x = sum x I / sum I, background-subtracted, in a window."""
+"""Centre of mass of a spot, paper Z eqs. (1)-(3): x = sum x I / sum I, background-subtracted, in a window.
+
+Where the unit wants it, Gaussian interpolation (``interpolation.py``) then gives the centroid.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .clustering import BACKGROUND, FIRST_X, FIRST_Y, LAST_X, LAST_Y, PEAK, PIXELS, SUM, SUM_X, SUM_Y
+from .interpolation import InterpolationTerms, interpolate
 
 __all__ = ["SPOT_FIELDS", "SpotLimits", "measure_spots"]
 
@@ -18,8 +22,10 @@ X, Y, FLUX, MAGNITUDE, SPOT_PEAK, SPOT_PIXELS, SATURATED, AT_EDGE = range(8)
 SPOT_FIELDS = 8
 
 # int64[TALLIES]: rejections by reason, then work
-SMALL, LARGE, SHARP, EDGE, FAINT, PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS = range(9)
-TALLIES = 9
+SMALL, LARGE, SHARP, EDGE, FAINT, PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(
+    10
+)
+TALLIES = 10
 
 
 class SpotLimits(NamedTuple):
@@ -33,6 +39,7 @@ class SpotLimits(NamedTuple):
     saturation_dn: int
     zero_point_dn: float  # DN of a magnitude 0 star in this exposure
     magnitude_limit: float
+    interpolation: InterpolationTerms  # (6) of the unit's point spread, where it is wanted
 
 
 OWN = np.uint8(1)
@@ -151,6 +158,9 @@ def measure_spots(
     ``local_background``: take the background from a ring round the spot, else the cluster's own.
     ``spots``: ``float64[>= clusters, SPOT_FIELDS]``. ``outcome``: ``int8[clusters]``, -1 for a spot, else the
     reason (SMALL, LARGE, SHARP, EDGE, FAINT). ``tally``: ``int64[TALLIES]``, added to.
+
+    ``limits.interpolation.wanted``: the centroid of an unsaturated spot that is a Gaussian of the unit's
+    width is then taken by (6), see ``interpolation.py``; flux and verdict are those above.
     """
     rows, columns = image.shape
     nominal = limits.half_window + 0.5
@@ -259,10 +269,19 @@ def measure_spots(
             elif peak > limits.max_peak_fraction * flux:
                 outcome[cluster] = SHARP
             else:
+                saturated = entry[PEAK] + entry[BACKGROUND] >= limits.saturation_dn
+                if limits.interpolation.wanted and not saturated:
+                    # two axes; a spot that is no Gaussian is found out by the same sums
+                    tally[INTERPOLATIONS] += 2
+                    good, place_x, place_y = interpolate(
+                        image, mask, left, top, OTHER, background, centre_x, centre_y, limits.interpolation
+                    )
+                    if good:
+                        centre_x, centre_y = place_x, place_y
                 spot = spots[found]
                 spot[X], spot[Y], spot[FLUX], spot[MAGNITUDE] = centre_x, centre_y, flux, magnitude
                 spot[SPOT_PEAK], spot[SPOT_PIXELS] = peak, entry[PIXELS]
-                spot[SATURATED] = 1.0 if entry[PEAK] + entry[BACKGROUND] >= limits.saturation_dn else 0.0
+                spot[SATURATED] = 1.0 if saturated else 0.0
                 spot[AT_EDGE] = 1.0 if narrowed else 0.0
                 found += 1
         if outcome[cluster] >= 0:

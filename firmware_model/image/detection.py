@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 from ..work import Work
 from . import centroid
 from .background import frame_statistics
+from .centroid import SpotLimits
 from .clustering import RUN_FIELDS, join_runs, sum_clusters, threshold_scan
+from .interpolation import interpolation_terms
 from .spots import Rejections, Spots
 
-__all__ = ["DetectionParameters", "detect"]
+__all__ = ["CENTROIDS", "DetectionParameters", "detect"]
+
+CENTROIDS = ("com", "gaussian")  # paper Z (1)-(3) and (4)-(6)
 
 
 _POSITIVE = (
@@ -55,16 +59,21 @@ class DetectionParameters:
     # ASSUMED: in a window a catalogue star is expected, so one whose noise (or whose streak's lost rim)
     # puts it a little beyond the limit is still wanted
     window_magnitude_margin: float = 0.3
+    centroid: str = "com"  # one of CENTROIDS
+    psf_sigma_px: float = 0.75  # of the point spread that "gaussian" takes a spot for
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        if self.centroid not in CENTROIDS:
+            raise ValueError(f"centroid must be one of {', '.join(CENTROIDS)}, not {self.centroid!r}")
+        interpolation_terms(float(self.psf_sigma_px), self.centroid == "gaussian")
 
-    def spot_limits(self, in_windows: bool = False) -> centroid.SpotLimits:
+    def spot_limits(self, in_windows: bool = False) -> SpotLimits:
         """The part that the measurement of spots needs, in the types that its compiled code expects."""
         margin = self.window_magnitude_margin if in_windows else 0.0
-        return centroid.SpotLimits(
+        return SpotLimits(
             int(self.centroid_half_window_px),
             int(self.min_pixels),
             int(self.max_pixels),
@@ -73,6 +82,7 @@ class DetectionParameters:
             int(self.saturation_dn),
             float(self.zero_point_dn_per_s * self.exposure_s),
             float(self.magnitude_limit + margin),
+            interpolation_terms(float(self.psf_sigma_px), self.centroid == "gaussian"),
         )
 
 
@@ -83,7 +93,7 @@ def _detect(
     tau_min_dn: float,
     average_pixels: int,
     max_runs: int,
-    limits: centroid.SpotLimits,
+    limits: SpotLimits,
     tally: NDArray[np.int64],
 ) -> tuple[NDArray[np.float64], float, float, int, int, int, int, bool]:
     background, noise, samples = frame_statistics(image)
@@ -146,8 +156,9 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
 
     Threshold: local background (moving average along a zigzag scan, paper M section 2.1) plus
     max(``sigma_factor`` * noise of this frame, ``tau_min_dn``). Runs are joined to 8-connected clusters;
-    each cluster between ``min_pixels`` and ``max_pixels`` is measured (centre of mass, paper Z (1)-(3)) and
-    kept if its flux is brighter than ``magnitude_limit``. Spots come brightest first.
+    each cluster between ``min_pixels`` and ``max_pixels`` is measured (centre of mass, paper Z (1)-(3), or
+    Gaussian interpolation, (4)-(6)) and kept if its flux is brighter than ``magnitude_limit``. Spots come
+    brightest first.
     ``Spots.overflowed``: more runs than ``max_runs``; the spots are of the part scanned until then.
     """
     if image.ndim != 2 or image.dtype != np.uint16 or image.shape[1] < 2:
@@ -185,6 +196,7 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
         "centroid_stars": counts[centroid.PASSES],
         "centroid_pixels": counts[centroid.WINDOW_PIXELS],
         "centroid_background_pixels": counts[centroid.RING_PIXELS],
+        "centroid_interpolations": counts[centroid.INTERPOLATIONS],
         "spots_sorted": sorting_work(found),
     }
     return spots_of_table(table[order], rejected, background, noise, overflowed), work

@@ -261,6 +261,7 @@ def detect_in_windows(
         "clusters": clusters,
         "centroid_stars": tallied[centroid.PASSES],
         "centroid_pixels": tallied[centroid.WINDOW_PIXELS],
+        "centroid_interpolations": tallied[centroid.INTERPOLATIONS],
         "spots_sorted": sorting_work(found),
     }
     level = float(np.median(background)) if windows else 0.0
