@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..attitude import matrix_kernel, quaternion_kernel
-from ..catalogue.sky_cells import nearest_star_kernel, stars_in_cone_kernel
+from ..catalogue.sky_cells import stars_in_cone_kernel
 from ..work import Work
 
 FloatArray = npt.NDArray[np.float64]
@@ -116,12 +116,18 @@ def match_spots_kernel(
     cell_start: IntArray,
     cell_star: IntArray,
     radius_rad: float,
+    searched_rad: float,
+    only_star: IntArray,
+    only_angle: FloatArray,
     star_index: IntArray,
     counts: CountArray,
 ) -> int:
     """Match every spot to the nearest star within radius_rad under q; a star only to its nearest spot.
 
-    Writes star_index[n] (-1 where none) and returns the number of matches.
+    Writes star_index[n] (-1 where none) and returns the number of matches. only_star[n], only_angle[n]: of
+    the spots that an earlier attitude brought next to one star alone within searched_rad that star and its
+    angle, else -1; kept up to date where this attitude is searched as wide. Such a spot needs no second
+    search as long as it has not moved so far that another star can be within radius_rad by now.
     """
     spots = len(b)
     a = np.empty((3, 3))
@@ -133,11 +139,47 @@ def match_spots_kernel(
         x = a[0, 0] * b[spot, 0] + a[1, 0] * b[spot, 1] + a[2, 0] * b[spot, 2]
         y = a[0, 1] * b[spot, 0] + a[1, 1] * b[spot, 1] + a[2, 1] * b[spot, 2]
         z = a[0, 2] * b[spot, 0] + a[1, 2] * b[spot, 1] + a[2, 2] * b[spot, 2]
-        star, angle[spot], tested = nearest_star_kernel(
-            unit_vectors, band_height_rad, band_first_cell, cell_start, cell_star, x, y, z, radius_rad, found
-        )
-        counts[CATALOGUE_ANGLES] += tested
-        star_index[spot] = star
+        star = only_star[spot]
+        if star >= 0:
+            counts[CATALOGUE_ANGLES] += 1
+            dx = unit_vectors[star, 0] - x
+            dy = unit_vectors[star, 1] - y
+            dz = unit_vectors[star, 2] - z
+            angle[spot] = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(dx * dx + dy * dy + dz * dz)))
+            # The spot has moved by no more than the sum of both angles.
+            if only_angle[spot] + angle[spot] > searched_rad - radius_rad:
+                star = -1
+            else:
+                star_index[spot] = star if angle[spot] <= radius_rad else -1
+        if star < 0:
+            near, tested = stars_in_cone_kernel(
+                unit_vectors,
+                band_height_rad,
+                band_first_cell,
+                cell_start,
+                cell_star,
+                x,
+                y,
+                z,
+                radius_rad,
+                found,
+            )
+            counts[CATALOGUE_ANGLES] += tested
+            star_index[spot] = -1
+            smallest = 1e300
+            for place in range(min(near, len(found))):
+                dx = unit_vectors[found[place], 0] - x
+                dy = unit_vectors[found[place], 1] - y
+                dz = unit_vectors[found[place], 2] - z
+                square = dx * dx + dy * dy + dz * dz
+                if square < smallest:
+                    smallest = square
+                    star_index[spot] = found[place]
+            angle[spot] = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(smallest)))
+            if radius_rad >= searched_rad:
+                only_star[spot] = star_index[spot] if near == 1 else -1
+                only_angle[spot] = angle[spot]
+        star = star_index[spot]
         if star < 0:
             continue
         matched += 1
@@ -321,8 +363,14 @@ def verify_kernel(
     be in the field are matched (field given: normals[4, 3], else normals[0, 3]), or when few matches do not
     agree in brightness.
     """
+    spots = len(b)
+    only_star = np.full(spots, -1, np.int32)
+    only_angle = np.zeros(spots)
+    before = np.empty(spots, np.int32)
+    matched = 0
     for trial in range(3):
-        radius = 2.0 * tolerance_rad if trial == 0 else tolerance_rad
+        for spot in range(spots):
+            before[spot] = star_index[spot]
         matched = match_spots_kernel(
             b,
             q,
@@ -331,12 +379,21 @@ def verify_kernel(
             band_first_cell,
             cell_start,
             cell_star,
-            radius,
+            2.0 * tolerance_rad if trial == 0 else tolerance_rad,
+            2.0 * tolerance_rad,
+            only_star,
+            only_angle,
             star_index,
             counts,
         )
         if matched < min_stars:
             return 0, 0, 0
+        if trial > 0:
+            same = True
+            for spot in range(spots):
+                same = same and before[spot] == star_index[spot]
+            if same:  # so is the attitude of these matches, and whatever would follow
+                break
         refine_kernel(b, unit_vectors, star_index, q, counts)
     counts[SPOTS_CONFIRMED] += matched
     if (
