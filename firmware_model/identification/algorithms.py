@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from . import pyramid
+from . import multi_poles, pyramid
 from .interface import IdentificationAlgorithm
 
 ALGORITHMS: Final[Mapping[str, IdentificationAlgorithm]] = {
     "pyramid": pyramid.identify,
+    "multi_poles": multi_poles.identify,
 }
