@@ -164,6 +164,8 @@ def measure_spots(
     """
     rows, columns = image.shape
     nominal = limits.half_window + 0.5
+    # sqrt of the sum of x^2 over the window: what noise does to the centre of mass
+    window_factor = 2.0 * nominal * math.sqrt(limits.half_window * (limits.half_window + 1) / 3.0)
     grow = 0.5 if reach > 0 else -0.5
     least = min(LEAST_HALF_WIDTH_PX, nominal)
     margin = limits.half_window + RING_GAP_PX + RING_WIDTH_PX + 2
@@ -274,7 +276,16 @@ def measure_spots(
                     # two axes; a spot that is no Gaussian is found out by the same sums
                     tally[INTERPOLATIONS] += 2
                     good, place_x, place_y = interpolate(
-                        image, mask, left, top, OTHER, background, centre_x, centre_y, limits.interpolation
+                        image,
+                        mask,
+                        left,
+                        top,
+                        OTHER,
+                        background,
+                        centre_x,
+                        centre_y,
+                        window_factor * noise_dn / flux,
+                        limits.interpolation,
                     )
                     if good:
                         centre_x, centre_y = place_x, place_y

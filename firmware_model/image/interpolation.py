@@ -25,7 +25,11 @@ DEVELOPED_AT_PX = -0.25
 # ASSUMED: noise may carry the star a quarter of a pixel beyond the range that follows from which columns are
 # the largest; further out it is not noise.
 FURTHEST_PX = 0.5
-# ASSUMED: two answers to one question; further apart the spot is not the Gaussian that (6) takes it for.
+# ASSUMED: two answers to one question: they may differ by a tenth of a pixel and 3 sigma of the centre of
+# mass before the background's noise, at most by half a pixel. Further apart the spot is not the Gaussian that
+# (6) takes it for: most often two stars, whose photocentre is what the catalogue holds.
+NEAR_COM_PX = 0.1
+NEAR_COM_SIGMA = 3.0
 MOST_FROM_COM_PX = 0.5
 # For a Gaussian I2^2 = I1 I3 exp(1 / v), v = s^2 + 1/12, wherever it lies. ASSUMED: a spot whose v is over
 # 4/3 of that (drawn out by motion over 1.6 px for s = 0.75 px, or two stars) is none.
@@ -159,6 +163,7 @@ def interpolate(
     background: float,
     com_x: float,
     com_y: float,
+    com_sigma_px: float,
     terms: InterpolationTerms,
 ) -> tuple[bool, float, float]:
     """(True, x, y) of a spot by (6) on both axes, or (False, 0, 0): then its centre of mass stays.
@@ -166,7 +171,8 @@ def interpolate(
     The largest pixel is looked for in 3 x 3 px about the centre of mass; columns are summed over its row and
     one on each side, rows alike. ASSUMED: three, not the one pixel each that the paper names beside them:
     they hold 95 % of the light for s = 0.75 px, and the largest pixel alone half of it.
-    ``mask[row - top, column - left]``: pixels marked ``other`` belong to another cluster.
+    ``mask[row - top, column - left]``: pixels marked ``other`` belong to another cluster. ``com_sigma_px``:
+    error of the centre of mass by the background's noise, 1 sigma.
     """
     rows, columns = image.shape
     middle_x, middle_y = math.floor(com_x + 0.5), math.floor(com_y + 0.5)
@@ -199,6 +205,7 @@ def interpolate(
                 return False, 0.0, 0.0
     x = peak_x + place_on_axis(across[0], across[1], across[2], terms)
     y = peak_y + place_on_axis(down[0], down[1], down[2], terms)
-    if abs(x - com_x) <= MOST_FROM_COM_PX and abs(y - com_y) <= MOST_FROM_COM_PX:
+    most = min(NEAR_COM_PX + NEAR_COM_SIGMA * com_sigma_px, MOST_FROM_COM_PX)
+    if abs(x - com_x) <= most and abs(y - com_y) <= most:
         return True, x, y
     return False, 0.0, 0.0
