@@ -50,6 +50,17 @@ class PairCatalogue:
         first, end = self.query(angle_rad, tolerance_rad)
         return self.brighter[first:end], self.dimmer[first:end]
 
+    def restricted(self, kept: npt.NDArray[np.bool_]) -> PairCatalogue:
+        """The pairs where kept[m] is set, in the same order, with a k-vector of their own."""
+        cos_angle = np.ascontiguousarray(self.cos_angle[kept])
+        return PairCatalogue(
+            cos_angle,
+            np.ascontiguousarray(self.brighter[kept]),
+            np.ascontiguousarray(self.dimmer[kept]),
+            self.max_angle_rad,
+            build_kvector(cos_angle),
+        )
+
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """The pair catalogue as plain arrays, for a cache or an image of the unit's memory."""
         return {
