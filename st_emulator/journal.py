@@ -35,7 +35,8 @@ class TextSink(Protocol):
 @dataclass(frozen=True)
 class JournalEntry:
     """Bytes of one direction: ``direction`` is "rx" (to the unit) or "tx" (from the unit); on a CAN bus also
-    "packet" (a telecommand of the scenario, to the unit) and "refused" (from the unit, not taken by the link).
+    "packet" (a telecommand of the scenario, to the unit) and "refused" (from the unit, not taken by the
+    link).
     """
 
     t_ns: int

@@ -55,7 +55,7 @@ def _bytes_of(
 
 
 def packets_of(line: bytes) -> list[bytes]:
-    """The packets in bytes of the serial line, for a wire without them. What is no frame there is none here."""
+    """The packets in bytes of the serial line, for another wire. What is no frame there is none here."""
     decoder = SlipDecoder(len(line) + 1)
     events = decoder.receive(line + bytes([END]), 0)
     return [event.data for event in events if isinstance(event, FrameReceived)]

@@ -17,7 +17,7 @@ PARTS = ("image_first_part", "image_part", "image_last_part")
 
 
 def measure(unit: str) -> dict[str, Any]:
-    """Payload of the image per second against consecutive frames back to back, as the bus could carry them."""
+    """Payload of the image per second against consecutive frames back to back, which the bus could carry."""
     obc = IdealObc(load_unit(unit), parse_scenario(SCENARIO, "bench"))
     obc.run_to(WARM_UP_S * NS_PER_S)
     obc.send("function", function_id=FunctionId.CAPTURE_IMAGE, arguments={})

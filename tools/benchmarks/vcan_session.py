@@ -1,7 +1,7 @@
 """Runs where there is a vcan0: a unit that tracks, an OBC that pings it and downloads an image; JSON lines.
 
-Started by ``tools/bench`` through ``tools/vcan``. Lines on standard output: ``{"ping": 1}`` for each ping, and
-last the figures. The journal stays in the folder given.
+Started by ``tools/bench`` through ``tools/vcan``. Lines on standard output: ``{"ping": 1}`` for each ping,
+and last the figures. The journal stays in the folder given.
 """
 
 from __future__ import annotations
