@@ -13,7 +13,7 @@ from . import centroid
 from .background import frame_statistics
 from .centroid import SpotLimits
 from .clustering import RUN_FIELDS, join_runs, sum_clusters, threshold_scan
-from .interpolation import interpolation_terms
+from .interpolation import HALF_HEIGHT_PX, InterpolationTerms, interpolation_terms
 from .spots import Rejections, Spots
 
 __all__ = ["CENTROIDS", "DetectionParameters", "detect"]
@@ -61,6 +61,7 @@ class DetectionParameters:
     window_magnitude_margin: float = 0.3
     centroid: str = "com"  # one of CENTROIDS
     psf_sigma_px: float = 0.75  # of the point spread that "gaussian" takes a spot for
+    interpolation_half_height_px: int = HALF_HEIGHT_PX  # its columns are summed over +- so many rows
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:
@@ -68,7 +69,7 @@ class DetectionParameters:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
         if self.centroid not in CENTROIDS:
             raise ValueError(f"centroid must be one of {', '.join(CENTROIDS)}, not {self.centroid!r}")
-        interpolation_terms(float(self.psf_sigma_px), self.centroid == "gaussian")
+        self.interpolation_terms()
 
     def spot_limits(self, in_windows: bool = False) -> SpotLimits:
         """The part that the measurement of spots needs, in the types that its compiled code expects."""
@@ -82,7 +83,13 @@ class DetectionParameters:
             int(self.saturation_dn),
             float(self.zero_point_dn_per_s * self.exposure_s),
             float(self.magnitude_limit + margin),
-            interpolation_terms(float(self.psf_sigma_px), self.centroid == "gaussian"),
+            self.interpolation_terms(),
+        )
+
+    def interpolation_terms(self) -> InterpolationTerms:
+        """The part that Gaussian interpolation needs. ValueError: see there."""
+        return interpolation_terms(
+            float(self.psf_sigma_px), self.centroid == "gaussian", self.interpolation_half_height_px
         )
 
 

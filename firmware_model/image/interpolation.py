@@ -35,6 +35,11 @@ MOST_FROM_COM_PX = 0.5
 # 4/3 of that (drawn out by motion over 1.6 px for s = 0.75 px, or two stars) is none.
 LEAST_CURVATURE = 0.75
 
+# ASSUMED: columns are summed over three rows; the paper's text goes on to speak of two pixels. Three rows
+# hold 95 % of the light for s = 0.75 px, the largest pixel's alone half of it or less: campaign zy3-centroids
+# measures both.
+HALF_HEIGHT_PX = 1
+
 PHASES = 51  # places of the star within half a pixel, for the mean error
 
 
@@ -45,6 +50,7 @@ class InterpolationTerms(NamedTuple):
     """
 
     wanted: bool
+    half_height_px: int  # rows on each side of the largest pixel's that columns are summed over
     first_0: float
     first_1: float
     first_2: float
@@ -75,15 +81,20 @@ def _to_second_order(
 
 
 @lru_cache(maxsize=16)
-def interpolation_terms(sigma_px: float, wanted: bool = True) -> InterpolationTerms:
+def interpolation_terms(
+    sigma_px: float, wanted: bool = True, half_height_px: int = HALF_HEIGHT_PX
+) -> InterpolationTerms:
     """What (6) needs for a point spread of sigma_px. ValueError unless it is a finite number over 0.1.
 
-    ``wanted`` False: the centre of mass stays.
+    ``wanted`` False: the centre of mass stays. ``half_height_px`` 0: one pixel of each column, 1: three.
     """
     if not 0.1 < sigma_px < math.inf:
         raise ValueError(f"psf_sigma_px must be over 0.1, not {sigma_px}")
+    if half_height_px not in (0, 1):
+        raise ValueError(f"interpolation_half_height_px must be 0 or 1, not {half_height_px}")
     return InterpolationTerms(
         wanted,
+        int(half_height_px),
         *_to_second_order(DEVELOPED_AT_PX, sigma_px, -1.5, -0.5),
         *_to_second_order(DEVELOPED_AT_PX, sigma_px, -0.5, 0.5),
         math.exp(LEAST_CURVATURE / (sigma_px**2 + 1.0 / 12.0)),
@@ -91,24 +102,24 @@ def interpolation_terms(sigma_px: float, wanted: bool = True) -> InterpolationTe
 
 
 @lru_cache(maxsize=16)
-def interpolation_errors(sigma_px: float) -> tuple[float, float]:
+def interpolation_errors(sigma_px: float, half_height_px: int = HALF_HEIGHT_PX) -> tuple[float, float]:
     """(photon_factor, noise_factor) of the expected error of one axis, root mean square over all places.
 
     Error by the star's photons: photon_factor / sqrt(electrons); by the background's noise: noise_factor
-    noise / flux. From (6): dx = (dI1 / I1 - dI2 / I2) / (d ln(g1 / g2) / dx), columns summed over three rows
-    of a spot whose other axis is as far off the middle of its row.
+    noise / flux. From (6): dx = (dI1 / I1 - dI2 / I2) / (d ln(g1 / g2) / dx), of a spot as far off the
+    middle of its row.
     """
     photons = noise = 0.0
     for phase in range(PHASES):
         x = -0.5 * phase / (PHASES - 1)
-        rows = gaussian_share(x, sigma_px, -1.5, 1.5) / math.sqrt(math.pi)
+        rows = gaussian_share(x, sigma_px, -half_height_px - 0.5, half_height_px + 0.5) / math.sqrt(math.pi)
         first = _to_second_order(x, sigma_px, -1.5, -0.5)
         second = _to_second_order(x, sigma_px, -0.5, 0.5)
         slope = first[1] / first[0] - second[1] / second[0]
         share_1 = rows * first[0] / math.sqrt(math.pi)
         share_2 = rows * second[0] / math.sqrt(math.pi)
         photons += (1.0 / share_1 + 1.0 / share_2) / slope**2
-        noise += 3.0 * (1.0 / share_1**2 + 1.0 / share_2**2) / slope**2
+        noise += (2 * half_height_px + 1) * (1.0 / share_1**2 + 1.0 / share_2**2) / slope**2
     return (
         math.sqrt(photons / PHASES),
         math.sqrt(noise / PHASES),
@@ -169,8 +180,7 @@ def interpolate(
     """(True, x, y) of a spot by (6) on both axes, or (False, 0, 0): then its centre of mass stays.
 
     The largest pixel is looked for in 3 x 3 px about the centre of mass; columns are summed over its row and
-    one on each side, rows alike. ASSUMED: three, not the one pixel each that the paper names beside them:
-    they hold 95 % of the light for s = 0.75 px, and the largest pixel alone half of it.
+    ``terms.half_height_px`` on each side, rows alike.
     ``mask[row - top, column - left]``: pixels marked ``other`` belong to another cluster. ``com_sigma_px``:
     error of the centre of mass by the background's noise, 1 sigma.
     """
@@ -189,20 +199,20 @@ def interpolate(
     down = (0.0, 0.0, 0.0)
     for step in range(-1, 2):
         row, column = peak_y + step, peak_x + step
-        line = (
-            float(image[row, peak_x - 1]) - background,
-            float(image[row, peak_x]) - background,
-            float(image[row, peak_x + 1]) - background,
-        )
-        across = (across[0] + line[0], across[1] + line[1], across[2] + line[2])
-        down = (
-            down[0] + float(image[peak_y - 1, column]) - background,
-            down[1] + float(image[peak_y, column]) - background,
-            down[2] + float(image[peak_y + 1, column]) - background,
-        )
         for at in range(peak_x - 1, peak_x + 2):
             if mask[row - top, at - left] == other:
                 return False, 0.0, 0.0
+        if abs(step) <= terms.half_height_px:
+            across = (
+                across[0] + float(image[row, peak_x - 1]) - background,
+                across[1] + float(image[row, peak_x]) - background,
+                across[2] + float(image[row, peak_x + 1]) - background,
+            )
+            down = (
+                down[0] + float(image[peak_y - 1, column]) - background,
+                down[1] + float(image[peak_y, column]) - background,
+                down[2] + float(image[peak_y + 1, column]) - background,
+            )
     x = peak_x + place_on_axis(across[0], across[1], across[2], terms)
     y = peak_y + place_on_axis(down[0], down[1], down[2], terms)
     most = min(NEAR_COM_PX + NEAR_COM_SIGMA * com_sigma_px, MOST_FROM_COM_PX)

@@ -230,10 +230,11 @@ def test_com_is_better_for_bright_stars_and_interpolation_for_dim_ones(
     assert gauss[1] < 0.9 * com[1]
 
 
-def test_expected_errors_against_a_simulation_of_three_columns() -> None:
+@pytest.mark.parametrize("half_height", [0, 1])
+def test_expected_errors_against_a_simulation_of_three_columns(half_height: int) -> None:
     """Photons alone and background alone, 3 x 3 px about the largest, the exact ratio solved by a table."""
     rng = np.random.default_rng(3)
-    photon_factor, noise_factor = interpolation_errors(0.75)
+    photon_factor, noise_factor = interpolation_errors(0.75, half_height)
     places = rng.uniform(-0.5, 0.5, (40_000, 2))
     scale = math.sqrt(2.0) * 0.75
     edges = np.arange(-1.5, 2.0)
@@ -245,12 +246,23 @@ def test_expected_errors_against_a_simulation_of_three_columns() -> None:
         (rng.poisson(images).astype(float), photon_factor / 1e3),
         (images + rng.normal(0.0, 500.0, images.shape), noise_factor * 500.0 / 1e6),
     ):
-        columns = noisy.sum(axis=1)
+        columns = noisy[:, 1 - half_height : 2 + half_height].sum(axis=1)
         left = shares[0][:, 0] > shares[0][:, 2]
         first = np.where(left, columns[:, 0], columns[:, 2])
         place = np.interp(first / columns[:, 1], ratio[::-1], table[::-1])
         error = np.where(left, place, -place) - places[:, 0]
-        assert error.std() == pytest.approx(expected, rel=0.03)
+        assert error.std() == pytest.approx(expected, rel=0.04)
+
+
+@pytest.mark.parametrize("place", [(20.0, 20.0), (20.3, 19.8), (19.52, 20.47)])
+def test_one_row_of_two_pixels_gives_the_same_place_without_noise(
+    render_stars: Render, place: tuple[float, float]
+) -> None:
+    """The other axis cancels in the ratio; only the rounding to DN differs."""
+    image = dn(render_stars((41, 41), [(*place, 60000)]), 100)
+    for half_height in (0, 1):
+        spots = found(image, interpolation_half_height_px=half_height)
+        assert (spots.x_px[0], spots.y_px[0]) == pytest.approx(place, abs=0.0105)
 
 
 def test_a_saturated_star_keeps_its_centre_of_mass(render_stars: Render) -> None:
@@ -345,9 +357,14 @@ def test_work_is_counted_for_both_axes(render_stars: Render) -> None:
 
 @pytest.mark.parametrize(
     ("changes", "expected"),
-    [({"centroid": "mean"}, "com, gaussian"), ({"psf_sigma_px": 0.0}, "psf_sigma_px"),
-     ({"psf_sigma_px": math.nan}, "psf_sigma_px"), ({"psf_sigma_px": math.inf}, "psf_sigma_px")],
-)  # fmt: skip
+    [
+        ({"centroid": "mean"}, "com, gaussian"),
+        ({"interpolation_half_height_px": 2}, "0 or 1"),
+        ({"psf_sigma_px": 0.0}, "psf_sigma_px"),
+        ({"psf_sigma_px": math.nan}, "psf_sigma_px"),
+        ({"psf_sigma_px": math.inf}, "psf_sigma_px"),
+    ],
+)
 def test_bad_parameters_are_refused(changes: dict[str, Any], expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
         DetectionParameters(**changes)
