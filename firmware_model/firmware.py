@@ -13,6 +13,7 @@ from .attitude import AttitudeSolution, angular_rate, robust_q_method
 from .configuration import FirmwareConfiguration, StarTables
 from .frame_result import NO_RECTS, FirmwareState, FrameContext, FrameResult, IdentifiedStars
 from .identification.interface import Identification, Spikes
+from .identification.verification import false_solutions_kernel, spread_kernel
 from .image.detection import DetectionParameters, detect
 from .image.frame import Frame
 from .image.spots import Spots, WindowStatus
@@ -54,6 +55,7 @@ class _Outcome:
     half_width_px: int = 0
     plan: TrackingPlan | None = None
     identification: Identification | None = None
+    false_solutions: float = math.inf
 
 
 def process_frame(
@@ -114,7 +116,7 @@ def _find(
         Spikes(b_vectors, used.magnitude), tables, configuration.identification
     )
     work += identification_work
-    if identification.reason != Reason.NONE:
+    if not identification.identified:
         return _Outcome(identification.reason, spots, identification=identification)
     spot = np.flatnonzero(identification.star_index >= 0).astype(np.int32)
     rows = identification.star_index[spot]
@@ -131,10 +133,15 @@ def _find(
         configuration,
         tables,
         configuration.identification.tolerance_rad,
-        configuration.identification.min_stars,
+        min(configuration.identification.min_stars, len(rows)),
         work,
     )
-    return replace(outcome, identification=identification)
+    return replace(
+        outcome,
+        reasons=outcome.reasons | identification.reason,
+        identification=identification,
+        false_solutions=identification.false_solutions,
+    )
 
 
 def _track(
@@ -208,7 +215,20 @@ def _track(
         parameters.min_stars,
         work,
     )
-    return replace(outcome, rects=plan.rects, half_width_px=plan.half_width_px, plan=plan)
+    chance = false_solutions_kernel(
+        len(tables.catalogue),
+        len(spots),
+        len(outcome.stars),
+        spread_kernel(b_vectors[spot], len(spot)),
+        parameters.tolerance_rad,
+    )
+    return replace(
+        outcome,
+        rects=plan.rects,
+        half_width_px=plan.half_width_px,
+        plan=plan,
+        false_solutions=float(chance),
+    )
 
 
 def _solve(
@@ -277,7 +297,8 @@ def _conclude(
     reasons = outcome.reasons
     rate: FloatArray | None = None
     solution = outcome.attitude
-    if solution is not None:
+    # What is not confirmed says nothing about the rate either: it would make a right attitude look fast.
+    if solution is not None and not reasons & Reason.UNCONFIRMED:
         # In tracking the rate is that from the last valid attitude, which the windows are built on; in lost
         # in space that from the last solved one, so that a turn too fast for tracking is seen although
         # nothing was valid.
@@ -342,4 +363,5 @@ def _conclude(
         rects=outcome.rects,
         plan=outcome.plan,
         identification=outcome.identification,
+        false_solutions=outcome.false_solutions if valid else math.inf,
     )

@@ -106,6 +106,8 @@ class FrameResult:
         error in sensor axes (zeros where not valid). rate_rad_s: of the sensor relative to ICRS, in sensor
         axes, from this and the last valid attitude; None where unknown.
     acquisition_after: how the next frame is to be searched; event: what happened to the mode, if anything.
+    false_solutions: how many attitudes chance would let fit the spots as well, over the whole sky; inf where
+        not valid.
     spots: of the full frame, or of the windows. rects: int32[m, 4], detection windows. All else as named.
     """
 
@@ -126,6 +128,7 @@ class FrameResult:
     rects: IntArray = field(default_factory=lambda: NO_RECTS)
     plan: TrackingPlan | None = None
     identification: Identification | None = None
+    false_solutions: float = math.inf
 
     @property
     def background_dn(self) -> float:

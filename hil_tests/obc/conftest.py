@@ -18,7 +18,7 @@ APID = 0x123
 MS = 1_000_000
 CUC = struct.pack(">IBH", 2_000_000_000, 0x80, 0)  # 2e9 s and a half
 STATUS = struct.Struct(">BBHIBHIIIIIIIhB")
-ATTITUDE = struct.Struct(">I7sBBBI4d6fB3f4H3f3IBH")
+ATTITUDE = struct.Struct(">I7sBBBI4d6fB3f4H3f3IBHf")
 
 
 def crc16(data: bytes) -> int:
@@ -76,7 +76,7 @@ def attitude_data(
         int(rate is not None), *(rate or (0.0, 0.0, 0.0)),
         20, 12, 12, 9,
         0.25, 101.5, 2.5, 100_000, 12_345_678, 150_000,
-        late, 0,
+        late, 0, 2.0**-20 if valid else 1.0,
     )  # fmt: skip
 
 

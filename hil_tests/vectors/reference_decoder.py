@@ -212,7 +212,7 @@ ATTITUDE = (
     "covariance_xx:f covariance_xy:f covariance_xz:f covariance_yy:f covariance_yz:f covariance_zz:f "
     "rate_valid:B rate_x:f rate_y:f rate_z:f spots_detected:H stars_identified:H windows:H "
     "window_half_width_px:H residual_rms_arcsec:f background_dn:f noise_dn:f exposure_us:I cycles:I "
-    "latency_us:I late:B frames_dropped_before:H"
+    "latency_us:I late:B frames_dropped_before:H false_match_probability:f"
 )
 
 IMAGE_HEADER = "frame_index:I width:H height:H bits:B reserved:B time:T exposure_us:I crc:H"

@@ -81,6 +81,15 @@ SERVICE = ServiceDefinition(
                 Field(
                     "frames_dropped_before", UINT16, meaning="frames dropped in a row just before this one"
                 ),
+                Field(
+                    "false_match_probability",
+                    FLOAT32,
+                    "",
+                    0.0,
+                    1.0,
+                    "attitudes over the whole sky that chance would let fit the spots as well, at most 1; 1 "
+                    "where the attitude is not valid",
+                ),
             ),
             tailoring="Mission-specific service.",
         ),

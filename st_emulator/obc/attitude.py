@@ -19,6 +19,7 @@ class Attitude:
     time_ns: middle of the exposure, on-board TAI ns since 1958-01-01. q_icrs_to_sensor: float64[4], x y z w
     (scalar last), v_sensor = A(q) v_icrs. covariance_rad2: float64[3, 3] of the small-angle error in sensor
     axes. rate_rad_s: float64[3], sensor relative to ICRS in sensor axes, None when the unit says it is not
+    valid. false_match_probability: that the stars were matched by chance, as the unit tells it; 1 where not
     valid.
     """
 
@@ -37,6 +38,7 @@ class Attitude:
     cycles: int
     latency_us: int
     late: bool
+    false_match_probability: float
     received_ns: int
 
     @classmethod
@@ -61,6 +63,7 @@ class Attitude:
             cycles=fields["cycles"],
             latency_us=fields["latency_us"],
             late=bool(fields["late"]),
+            false_match_probability=fields["false_match_probability"],
             received_ns=received_ns,
         )
 

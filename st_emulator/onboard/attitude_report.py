@@ -57,7 +57,10 @@ def _accuracy(result: FrameResult | None) -> dict[str, Any]:
         for name, place in _ELEMENTS.items()
     }
     rates = {f"rate_{name}": 0.0 if rate is None else float(rate[axis]) for axis, name in enumerate("xyz")}
-    return covariance | {"rate_valid": int(rate is not None)} | rates
+    probability = 1.0 if valid is None else min(1.0, valid.false_solutions)
+    return (
+        covariance | {"rate_valid": int(rate is not None)} | rates | {"false_match_probability": probability}
+    )
 
 
 def _observation(result: FrameResult | None) -> dict[str, Any]:
