@@ -153,6 +153,7 @@ class CanPort:
         self._lost = 0
         self._lost_reason = TransferFailure.TIMEOUT_BS
         self._reporting = 0
+        self._handling = False
         self._heard = False  # the OBC, since the last failure
         self._intermission_ns = 0
         if not settings.bus.hardware:  # the modelled bus gives a frame to its receivers behind it
@@ -264,6 +265,8 @@ class CanPort:
 
     def _pump(self) -> None:
         """Hand over what may go out now and wait for what comes next."""
+        if self._handling:  # what one event makes the unit send waits for the others of its instant
+            return
         now_ns = self._clock.now_ns
         connection = self.connection
         self._take_back()
@@ -317,6 +320,8 @@ class CanPort:
         self._pump()
 
     def _handle(self, events: list[IsoTpEvent]) -> None:
+        """To be followed by :meth:`_pump`."""
+        self._handling = True
         for event in events:
             if isinstance(event, PduReceived):
                 self._heard = True
@@ -332,6 +337,7 @@ class CanPort:
                 self._transmission_failed(event.reason)
             elif self._observer is not None and self._client.listening:
                 self._observer.transfer_failed(event.reason)
+        self._handling = False
 
     def _transmission_failed(self, reason: TransferFailure) -> None:
         packet, self._under_way = self._under_way, None
