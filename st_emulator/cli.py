@@ -205,7 +205,16 @@ def campaign(
             "or `star-quadruples`."
         ),
     ],
-    unit: Unit = "roja1",
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            "--unit",
+            "-u",
+            metavar="UNIT",
+            help="A shipped unit or the path of a unit file (.toml). Default: roja1, or the one that the "
+            "campaign is of.",
+        ),
+    ] = None,
     n: Annotated[
         int | None, typer.Option("--n", min=1, help="How many cases; each campaign has its own default.")
     ] = None,
@@ -213,12 +222,39 @@ def campaign(
     workers: Annotated[
         int | None, typer.Option("--workers", min=1, help="Processes; default: one a core.")
     ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            "--dask",
+            metavar="ADDRESS",
+            help="Run the cases on the Dask cluster of this scheduler, as `tcp://127.0.0.1:8786`, whose "
+            "workers have the same st-emulator (one thread each: `dask worker --nthreads 1`).",
+        ),
+    ] = None,
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            "--results",
+            metavar="FILE",
+            help="Outcomes of the cases (JSON lines): a run with the same file goes on where it was stopped. "
+            "Default: a file of the user's state folder, deleted when the campaign is through.",
+        ),
+    ] = None,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Begin anew where a stopped run would be gone on with.")
+    ] = False,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Draw the figures (PNG, SVG, PDF, JPG).")
+    ] = None,
     json_path: Json = None,
 ) -> None:
-    """Measure a unit over many skies, and say what falls short."""
-    from .campaigns.registry import run_campaign
+    """Measure a unit over many skies, and say what falls short. A stopped campaign goes on with the same
+    command.
+    """
+    from .campaigns.registry import CampaignOptions, run_campaign
 
-    raise typer.Exit(run_campaign(name, unit, n, seed, workers, json_path, console_for(json_path)))
+    options = CampaignOptions(unit, n, seed, workers, dask, results, restart, json_path, plot)
+    raise typer.Exit(run_campaign(name, options, console_for(json_path)))
 
 
 @app.command()

@@ -31,6 +31,15 @@ class Check:
     holds: bool
 
 
+@dataclass(frozen=True)
+class TextTable:
+    """A table to be printed: its title, the columns' heads, and rows of texts."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
 def check(
     name: str, value: float | int | None, direction: Direction, target: float | int, unit: str
 ) -> Check:
@@ -113,6 +122,16 @@ def show_checks(console: Console, checks: Sequence[Check]) -> None:
             escape(item.unit),
             "[green]holds[/]" if item.holds else "[red]falls short[/]",
         )
+    console.print(table)
+
+
+def show_table(console: Console, contents: TextTable) -> None:
+    """Print a table; columns of figures are aligned to the right."""
+    table = Table(title=escape(contents.title), title_justify="left")
+    for number, column in enumerate(contents.columns):
+        table.add_column(escape(column), justify="left" if number == 0 else "right")
+    for row in contents.rows:
+        table.add_row(*map(escape, row))
     console.print(table)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from ..profile import UnitProfile
-from ..report import Check
+from ..report import Check, TextTable
 from .workers import Workers
 
 
@@ -22,7 +23,14 @@ class CampaignRequest:
 
 @dataclass
 class CampaignResult:
-    """Figures for JSON and the table, and the checks they are held to."""
+    """Figures for JSON and the table, and the checks they are held to.
+
+    figures: the same for the same request, however it was run. timing: what depends on the computer. tables:
+    printed after the figures, the source's beside ours. draw: draws the plot on an empty matplotlib figure.
+    """
 
     figures: dict[str, Any]
     checks: list[Check] = field(default_factory=list)
+    tables: list[TextTable] = field(default_factory=list)
+    timing: dict[str, Any] = field(default_factory=dict)
+    draw: Callable[[Any], None] | None = None
