@@ -20,6 +20,7 @@ from .firmware_model.catalogue.pairs import PairCatalogue, build_pair_catalogue
 from .firmware_model.catalogue.star_catalogue import StarCatalogue, build_star_catalogue
 from .firmware_model.configuration import CentroidError, FirmwareConfiguration, StarTables
 from .firmware_model.geometry import CameraGeometry
+from .firmware_model.identification.algorithms import ALGORITHMS
 from .firmware_model.identification.interface import IdentificationParameters
 from .firmware_model.image.detection import DetectionParameters
 from .firmware_model.processor import ProcessorProfile, ProcessorProfileError
@@ -267,6 +268,7 @@ def firmware_configuration(
     )
     detection = DetectionParameters(
         sigma_factor=float(parameters["detection_sigma"]),
+        tau_min_dn=max(1.0, profile.detection.tau_pre_electrons / detector.electrons_per_dn),
         min_pixels=int(parameters["detection_min_pixels"]),
         max_pixels=profile.detection.max_pixels,
         centroid_half_window_px=int(parameters["centroid_half_window_px"]),
@@ -296,6 +298,7 @@ def firmware_configuration(
             max_windows=profile.tracking.max_windows,
         ),
         exposure_ns=exposure_us * 1000,
+        identify=ALGORITHMS[profile.identification.algorithm],
         centroid_error=CentroidError(
             psf_sigma_px=profile.optics.psf_sigma_px,
             electrons_per_dn=detector.electrons_per_dn,

@@ -124,6 +124,7 @@ class Catalogue(Section):
 
 class Detection(Section):
     sigma: Annotated[float, Field(ge=3, le=50)]
+    tau_pre_electrons: NonNegative = 0.0  # the threshold over the background is never less than this
     window_sigma: Annotated[float, Field(ge=2, le=50)]
     min_pixels: Annotated[int, Field(ge=1, le=50)]
     max_pixels: Annotated[int, Field(ge=10, le=100000)]
@@ -134,7 +135,7 @@ class Detection(Section):
 
 
 class Identification(Section):
-    algorithm: Literal["pyramid"]
+    algorithm: Literal["pyramid", "brightness_referenced", "geometric_voting", "multi_poles"]
     tolerance_arcsec: Annotated[float, Field(ge=0.1, le=600)]
     max_spots: Annotated[int, Field(ge=4, le=40)]
 
