@@ -78,7 +78,7 @@ from .verification import (
     work_of,
 )
 
-_REFERENCE_PARTNERS = 3  # so many of a pivot are tried in reference mode
+_GROUP = 3  # partners of a pivot that are tried together
 _NO_FIELD = np.zeros((0, 3))
 
 _Pairs = tuple[FloatArray, IntArray, IntArray, float, float, IntArray]
@@ -285,6 +285,30 @@ def _meet_kernel(
 
 
 @numba.njit(cache=True, nogil=True)
+def _group_kernel(
+    pivot: int,
+    left: int,
+    group_spot: IntArray,
+    b: FloatArray,
+    tolerance_rad: float,
+    windows: _Windows,
+    counts: CountArray,
+) -> int:
+    """The pivot's next partners, the three dimmest of those left, nearest first; how many there are."""
+    lowest, _ = windows
+    size = min(_GROUP, left)
+    for member in range(size):
+        spot = left - member + pivot
+        _window_kernel(pivot, spot, b, tolerance_rad, windows, counts)
+        slot = member
+        while slot > 0 and lowest[pivot, group_spot[slot - 1]] < lowest[pivot, spot]:
+            group_spot[slot] = group_spot[slot - 1]
+            slot -= 1
+        group_spot[slot] = spot
+    return size
+
+
+@numba.njit(cache=True, nogil=True)
 def _search_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
@@ -312,9 +336,7 @@ def _search_kernel(
     # Ranges of the whole list, (13), kept for the last round; and those of a group.
     range_first = np.full((spots, spots), -1, np.int32)
     range_end = np.full((spots, spots), -1, np.int32)
-    group_spot = np.empty(3, np.int32)
-    group_first = np.empty(3, np.int32)
-    group_end = np.empty(3, np.int32)
+    group_spot = np.empty(_GROUP, np.int32)
     # Mark table: the chain of a star's entries is of this pivot where its stamp is, so nothing is cleared.
     head = np.zeros(catalogued, np.int32)
     stamp = np.zeros(catalogued, np.int32)
@@ -342,13 +364,12 @@ def _search_kernel(
             used = 0
             joined = 0
             waiting, waiting_first, waiting_end, waiting_ends = -1, 0, 0, 0  # a range not marked yet
-            left = spots - 1
-            last = max(pivot, spots - 1 - _REFERENCE_PARTNERS) if round_ == 0 else pivot
-            while left > last:
-                size = min(3 if round_ > 0 else (2 if left == spots - 1 else 1), left - last)
+            left = spots - 1 - pivot
+            while left > 0:
+                size = _group_kernel(pivot, left, group_spot, b, limits[0], windows, counts)
+                left = left - size if round_ > 0 else 0  # one group alone in reference mode
                 for member in range(size):
-                    spot = left - member
-                    _window_kernel(pivot, spot, b, limits[0], windows, counts)
+                    spot = group_spot[member]
                     if round_ == 0 or range_first[pivot, spot] < 0:
                         counts[KVECTOR_QUERIES] += 1
                         first, end, _ = range_kernel(
@@ -364,19 +385,7 @@ def _search_kernel(
                             range_end[pivot, spot] = end
                     else:
                         first, end = range_first[pivot, spot], range_end[pivot, spot]
-                    slot = member
-                    while slot > 0 and group_end[slot - 1] - group_first[slot - 1] > end - first:
-                        group_spot[slot] = group_spot[slot - 1]
-                        group_first[slot] = group_first[slot - 1]
-                        group_end[slot] = group_end[slot - 1]
-                        slot -= 1
-                    group_spot[slot] = spot
-                    group_first[slot] = first
-                    group_end[slot] = end
-                left -= size
-                for member in range(size):
-                    spot = group_spot[member]
-                    if group_end[member] <= group_first[member]:
+                    if end <= first:
                         continue
                     if exhausted_kernel(counts, limits[8]):
                         return LIMIT
@@ -386,7 +395,7 @@ def _search_kernel(
                         if magnitudes[spot] - magnitudes[pivot] > distinct_mag:
                             ends = 1
                             ordered = True
-                    room = 2 * (waiting_end - waiting_first + group_end[member] - group_first[member])
+                    room = 2 * (waiting_end - waiting_first + end - first)
                     if used + room > len(chain):
                         chain = _longer(chain, used, room)
                         partner_star = _longer(partner_star, used, room)
@@ -410,9 +419,12 @@ def _search_kernel(
                         waiting, waiting_first, waiting_end = -1, 0, 0
                     if used > 0:
                         counts[TRIADS_TESTED] += 1
-                        counts[KVECTOR_HITS] += group_end[member] - group_first[member]
                         volume_of[:] = np.nan
-                        for place in range(group_first[member], group_end[member]):
+                        for step in range(end - first):
+                            # From the middle outwards: the true pair is the likeliest there, and may end it.
+                            aside = (step + 1) // 2
+                            place = (first + end) // 2 + (aside if step % 2 == 0 else -aside)
+                            counts[KVECTOR_HITS] += 1
                             outcome = _meet_kernel(
                                 place,
                                 ends,
@@ -435,7 +447,7 @@ def _search_kernel(
                             )
                             if outcome != NOTHING:
                                 return outcome
-                            if joined > 0 and spot > last + 1:
+                            if joined > 0 and (member < size - 1 or left > 0):
                                 used = _mark_kernel(
                                     place,
                                     ends,
@@ -453,8 +465,8 @@ def _search_kernel(
                     if joined < 2:
                         waiting, waiting_first, waiting_end, waiting_ends = (
                             spot,
-                            group_first[member],
-                            group_end[member],
+                            first,
+                            end,
                             ends,
                         )
     return NOTHING
