@@ -4,20 +4,12 @@ firmware settings.
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import os
-import tempfile
-import zipfile
 from collections.abc import Mapping
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
 from .errors import ConfigurationError
-from .firmware_model.catalogue.pairs import PairCatalogue, build_pair_catalogue
-from .firmware_model.catalogue.star_catalogue import StarCatalogue, build_star_catalogue
 from .firmware_model.configuration import CentroidError, FirmwareConfiguration, StarTables
 from .firmware_model.geometry import CameraGeometry
 from .firmware_model.identification.algorithms import ALGORITHMS
@@ -37,12 +29,13 @@ from .scenario import (
     Sky,
     SlewTrajectory,
 )
+from .tables_cache import TableFigures, star_tables_of
 from .world import orbit, slew, trajectory
 from .world.bodies import Body, Earth, Moon, Sun
 from .world.camera import CameraModel
 from .world.false_spots import FalseSpots
 from .world.scene import SceneRenderer
-from .world.stars import StarField, cache_folder, star_field
+from .world.stars import StarField, star_field
 from .world.time_scales import julian_year
 from .world.trajectory import Trajectory
 
@@ -50,7 +43,6 @@ ARCSEC = np.pi / 180 / 3600
 # ASSUMED: a baffle ends steeply; at this share of the exclusion angle the image is full of stray light.
 STEEP = 0.8
 EDGE_PX = 6.0
-TABLES_LAYOUT = 1  # raise when the contents of the cached tables change
 
 
 def camera_model(profile: UnitProfile) -> CameraModel:
@@ -213,45 +205,20 @@ def processor_profile(profile: UnitProfile) -> ProcessorProfile:
 
 
 @lru_cache(maxsize=4)
-def _tables(limit_mag: float, epoch_jyear: float, resolution_rad: float, max_angle_rad: float) -> StarTables:
-    key = (
-        f"{TABLES_LAYOUT} {limit_mag!r} {epoch_jyear!r} {resolution_rad!r} {max_angle_rad!r} {np.__version__}"
-    )
-    path = cache_folder() / f"tables-{hashlib.sha256(key.encode()).hexdigest()[:16]}.npz"
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            loaded = {name: arrays[name] for name in arrays.files}
-        return StarTables(StarCatalogue.from_arrays(loaded), PairCatalogue.from_arrays(loaded))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        pass
-    stars = star_field(epoch_jyear, limit_mag + 3.0)  # companions up to 3 mag dimmer move a merged spot
-    catalogue = build_star_catalogue(stars.hip, stars.unit_vectors, stars.hp_mag, limit_mag, resolution_rad)
-    pairs = build_pair_catalogue(catalogue, max_angle_rad)
-    with contextlib.suppress(OSError):
-        _write_atomically(path, catalogue.to_arrays() | pairs.to_arrays())
-    return StarTables(catalogue, pairs)
-
-
-def _write_atomically(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-        try:
-            np.savez(part, allow_pickle=False, **arrays)
-            part.flush()
-            os.replace(part.name, path)
-        except BaseException:
-            Path(part.name).unlink(missing_ok=True)
-            raise
+def _tables(figures: TableFigures) -> StarTables:
+    return star_tables_of(figures)
 
 
 def star_tables(profile: UnitProfile) -> StarTables:
     """The unit's on-board catalogue and pair table: built once, kept in the user's cache folder."""
     geometry = camera_geometry(profile)
     return _tables(
-        profile.catalogue.limit_mag,
-        profile.catalogue.epoch_jyear,
-        profile.catalogue.resolution_px / profile.focal_px,
-        round(2 * geometry.half_diagonal_rad, 6),
+        TableFigures(
+            limit_mag=profile.catalogue.limit_mag,
+            epoch_jyear=profile.catalogue.epoch_jyear,
+            resolution_rad=profile.catalogue.resolution_px / profile.focal_px,
+            max_angle_rad=round(2 * geometry.half_diagonal_rad, 6),
+        )
     )
 
 
