@@ -14,6 +14,7 @@ from .identification.interface import IdentificationAlgorithm, IdentificationPar
 from .identification.pyramid import identify as identify_by_pyramid
 from .image.detection import DetectionParameters
 from .image.interpolation import interpolation_errors
+from .processor import CycleBudget
 from .tracking import TrackingParameters
 
 FloatArray = npt.NDArray[np.float64]
@@ -78,6 +79,8 @@ class FirmwareConfiguration:
     blinded_background_dn: a background above this blinds the camera.
     aberration_correction: correct for stellar aberration once the on-board time is set.
     velocity_km_s: of the spacecraft about the Earth, ICRS.
+    cycle_budget: what a frame may take; a search that would take more ends with WORK_LIMIT. None: no limit
+        but those of `identification`.
     solved_validity_ns: an attitude older than this says nothing about the rate. ASSUMED: 2 s, within which
         the unit must be back after too high a rate.
     """
@@ -94,3 +97,4 @@ class FirmwareConfiguration:
     aberration_correction: bool = True
     velocity_km_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     solved_validity_ns: int = 2_000_000_000
+    cycle_budget: CycleBudget | None = None

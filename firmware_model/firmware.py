@@ -13,7 +13,7 @@ from .attitude import AttitudeSolution, angular_rate, robust_q_method
 from .configuration import FirmwareConfiguration, StarTables
 from .frame_result import NO_RECTS, FirmwareState, FrameContext, FrameResult, IdentifiedStars
 from .identification.interface import Identification, Spikes
-from .identification.verification import false_solutions_kernel, spread_kernel
+from .identification.verification import COUNT_NAMES, false_solutions_kernel, spread_kernel
 from .image.detection import DetectionParameters, detect
 from .image.frame import Frame
 from .image.spots import Spots, WindowStatus
@@ -112,8 +112,16 @@ def _find(
     work.add("unit_vectors", len(used))
     if configuration.geometry.distorted:
         work.add("distortions_removed", len(used))
+    parameters = configuration.identification
+    budget = configuration.cycle_budget
+    if budget is not None:
+        parameters = replace(
+            parameters,
+            max_cycles=budget.for_search(work),
+            count_cycles=np.array(budget.processor.costs(COUNT_NAMES)),
+        )
     identification, identification_work = configuration.identify(
-        Spikes(b_vectors, used.magnitude), tables, configuration.identification
+        Spikes(b_vectors, used.magnitude), tables, parameters
     )
     work += identification_work
     if not identification.identified:

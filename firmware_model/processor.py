@@ -7,7 +7,7 @@ evidence. Those of ``cycle_costs/arm926ej_s_provisional.json`` are provisional: 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -15,7 +15,14 @@ from typing import Any, Final
 
 from .work import COUNTS, STAGES, Work
 
-__all__ = ["EVIDENCE", "Coefficient", "CycleReport", "ProcessorProfile", "ProcessorProfileError"]
+__all__ = [
+    "EVIDENCE",
+    "Coefficient",
+    "CycleBudget",
+    "CycleReport",
+    "ProcessorProfile",
+    "ProcessorProfileError",
+]
 
 EVIDENCE: Final = ("trial", "derived", "assumed")  # best first; the JSON file says what each means
 
@@ -78,6 +85,10 @@ class ProcessorProfile:
         """
         return ProcessorProfile(clock_hz, self.coefficients, self.name)
 
+    def costs(self, counts: Sequence[str]) -> tuple[float, ...]:
+        """Cycles of one of each of these counts."""
+        return tuple(self._cost[name][1] for name in counts)
+
     def cycles(self, work: Work) -> CycleReport:
         """Cycles of ``work``, rounded to whole cycles stage by stage; ``total`` is the sum of the stages."""
         exact = dict.fromkeys(STAGES, 0.0)
@@ -118,6 +129,24 @@ class ProcessorProfile:
         except json.JSONDecodeError as error:
             raise ProcessorProfileError(f"{where}: line {error.lineno}: {error.msg}") from error
         return _from_document(document, where)
+
+
+@dataclass(frozen=True)
+class CycleBudget:
+    """What a frame may take on its processor before it is late: `cycles` from its read-out on."""
+
+    processor: ProcessorProfile
+    cycles: int
+
+    def for_search(self, spent: Work) -> float:
+        """Cycles that a search may use after the work spent on the frame so far.
+
+        ASSUMED: a tenth of the budget is kept for what follows (attitude, telemetry) and for the search's
+        last step; half of it is given in any case, so that a unit whose detection leaves less than that can
+        acquire at all: such a frame may be late, which telemetry tells.
+        """
+        left = 0.9 * self.cycles - self.processor.cycles(spent).total
+        return max(left, 0.5 * self.cycles)
 
 
 def _from_document(document: Any, where: str) -> ProcessorProfile:

@@ -13,9 +13,13 @@ from .errors import ConfigurationError
 from .firmware_model.configuration import CentroidError, FirmwareConfiguration, StarTables
 from .firmware_model.geometry import CameraGeometry
 from .firmware_model.identification.algorithms import ALGORITHMS
-from .firmware_model.identification.interface import IdentificationParameters
+from .firmware_model.identification.interface import (
+    BrightnessParameters,
+    IdentificationParameters,
+    MultiPolesParameters,
+)
 from .firmware_model.image.detection import DetectionParameters
-from .firmware_model.processor import ProcessorProfile, ProcessorProfileError
+from .firmware_model.processor import CycleBudget, ProcessorProfile, ProcessorProfileError
 from .firmware_model.tracking import TrackingParameters
 from .profile import UnitProfile
 from .scenario import (
@@ -222,6 +226,17 @@ def star_tables(profile: UnitProfile) -> StarTables:
     )
 
 
+def cycle_budget(profile: UnitProfile, parameters: Mapping[str, float | int]) -> CycleBudget:
+    """Cycles between a frame's read-out and the moment from which on it is late: those of a period, or
+    what exposure and read-out leave of it where the unit is not pipelined.
+    """
+    budget_ns = profile.frame_period_ns
+    if not parameters["pipelined"]:
+        budget_ns -= int(parameters["exposure_us"]) * 1000 + round(profile.timing.readout_ms * 1_000_000)
+    processor = processor_profile(profile).with_clock(int(parameters["clock_hz"]))
+    return CycleBudget(processor, max(0, budget_ns) * processor.clock_hz // 1_000_000_000)
+
+
 def firmware_configuration(
     profile: UnitProfile, parameters: Mapping[str, float | int]
 ) -> FirmwareConfiguration:
@@ -255,7 +270,17 @@ def firmware_configuration(
             max_spots=int(parameters["identification_max_spots"]),
             # Stars within a few pixels of the edge cannot be measured, so they are not expected.
             field_normals=geometry.field_normals(-EDGE_PX),
+            most_false_solutions=profile.identification.most_false_matches,
+            brightness=BrightnessParameters(
+                distinct_mag=profile.identification.brightness_referenced.distinct_mag,
+                bright_limit_mag=profile.identification.brightness_referenced.bright_limit_mag,
+            ),
+            multi_poles=MultiPolesParameters(
+                magnitude_tolerance=profile.identification.multi_poles.magnitude_tolerance,
+                least_recognised=profile.identification.multi_poles.least_recognised,
+            ),
         ),
+        cycle_budget=cycle_budget(profile, parameters),
         tracking=TrackingParameters(
             rate_rad_s=float(np.radians(parameters["tracking_rate_deg_s"])),
             star_radius_px=profile.tracking.star_radius_px,

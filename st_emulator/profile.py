@@ -134,10 +134,31 @@ class Detection(Section):
     blinded_background_dn: Annotated[int, Field(ge=1, le=65535)]
 
 
+class BrightnessReferenced(Section):
+    """Of the algorithm of this name: spots over ``distinct_mag`` apart are in the order of their brightness;
+    a star over ``bright_limit_mag`` is looked for among the stars as bright."""
+
+    distinct_mag: Annotated[float, Field(ge=0, le=10)] = 0.7
+    bright_limit_mag: Annotated[float, Field(ge=-2, le=10)] = 3.0
+
+
+class MultiPoles(Section):
+    """Of the algorithm of this name: a pair of stars fits two spots that are no more than
+    ``magnitude_tolerance`` off; ``least_recognised`` stars are to be accepted by two poles."""
+
+    magnitude_tolerance: Annotated[float, Field(gt=0, le=10)] = 0.7
+    least_recognised: Annotated[int, Field(ge=3, le=20)] = 5
+
+
 class Identification(Section):
+    """Lost in space. ``most_false_matches``: an attitude is refused where chance gives more that fit."""
+
     algorithm: Literal["pyramid", "brightness_referenced", "geometric_voting", "multi_poles"]
     tolerance_arcsec: Annotated[float, Field(ge=0.1, le=600)]
     max_spots: Annotated[int, Field(ge=4, le=40)]
+    most_false_matches: Annotated[float, Field(gt=0, le=1)] = 1e-5
+    brightness_referenced: BrightnessReferenced = BrightnessReferenced()
+    multi_poles: MultiPoles = MultiPoles()
 
 
 class Tracking(Section):

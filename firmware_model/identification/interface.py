@@ -80,8 +80,8 @@ class IdentificationParameters:
     max_operations: limit of the work of any algorithm, the sum of all its counts of the stage
         identification (`Work.operations`); looked at once per outer step, so it is passed by one step at
         most. A search that reaches it ends with WORK_LIMIT.
-    max_cycles, count_cycles: the same limit in the processor's time: float64[14], cycles of one of each of
-        `verification.COUNT_NAMES` (those of the attitudes tried included); None: no limit.
+    max_cycles, count_cycles: the same limit in the processor's time; count_cycles: what one of each of
+        `verification.COUNT_NAMES` costs (the attitudes tried included), None: no limit.
     brightness, multi_poles: of those algorithms alone.
     """
 

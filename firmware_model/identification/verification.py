@@ -59,12 +59,11 @@ def exhausted_kernel(counts: CountArray, limit: FloatArray) -> bool:
     operations = 0
     for place in range(OPERATIONS):
         operations += counts[place]
-    if operations >= limit[0]:
-        return True
     cycles = 0.0
     for place in range(len(limit) - 2):
         cycles += counts[place] * limit[2 + place]
-    return cycles >= limit[1]
+    exhausted: bool = operations >= limit[0] or cycles >= limit[1]
+    return exhausted
 
 
 @numba.njit(cache=True, nogil=True)
