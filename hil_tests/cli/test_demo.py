@@ -149,7 +149,7 @@ def test_truth_that_is_cut_short_or_absent(tmp_path):
     assert list(read_truth(path)) == [0, 1]
 
 
-@pytest.mark.parametrize("unit", ["roja1", "zy3", "science_cam"])
+@pytest.mark.parametrize("unit", ["roja1", "zy3", "science_cam", "aps_rs"])
 @pytest.mark.parametrize("seconds", [12.0, 30.0, 3600.0])
 def test_scenario_is_valid_and_turns_below_the_units_rate(unit, seconds):
     from st_emulator.configuration import trajectory_of

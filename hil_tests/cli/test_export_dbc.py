@@ -69,7 +69,7 @@ def test_can_fd(command):
 @pytest.mark.parametrize(
     ("units", "says"),
     [
-        (("roja2",), ("roja2", "roja1, science_cam, zy3")),
+        (("roja2",), ("roja2", "aps_rs, roja1, science_cam, zy3")),
         (("roja1:0",), ("roja1:0", "CAN node 0", "from 1 to 127")),
         (("roja1:-1",), ("CAN node -1",)),
         (("roja1:128",), ("CAN node 128",)),
@@ -87,7 +87,7 @@ def test_units_that_cannot_be(units, says, refused):
 def test_cantools_decodes_a_log_with_the_committed_file():
     """As a user does it: candump's log into `cantools decode`."""
     lines = []
-    for second, (node, unit) in enumerate(((10, "roja1"), (11, "zy3"), (12, "science_cam"))):
+    for second, (node, unit) in enumerate(((10, "roja1"), (11, "zy3"), (12, "science_cam"), (13, "aps_rs"))):
         assert load_unit(unit).can.node == node
         for name in (*reference.FRAMES, "telemetry", "telecommand"):
             number = reference.identifier(name, node)
@@ -107,7 +107,7 @@ def test_cantools_decodes_a_log_with_the_committed_file():
     )
     assert (run.returncode, run.stderr) == (0, "")
     decoded = run.stdout.splitlines()
-    assert len(decoded) == len(lines) == 33
+    assert len(decoded) == len(lines) == 44
     for line in decoded:
         assert "Unknown frame id" not in line
         assert "rror" not in line.replace("ERROR_ACTIVE", ""), line

@@ -36,7 +36,7 @@ def reports(unit: str, ra_deg: float, dec_deg: float) -> list[dict]:
     return [item["fields"] for item in packets if (item["service"], item["subservice"]) == (130, 1)]
 
 
-@pytest.mark.parametrize("unit", ["roja1", "zy3"])
+@pytest.mark.parametrize("unit", ["roja1", "zy3", "aps_rs"])
 def test_blinded_well_inside_the_exclusion_angle(unit: str) -> None:
     ra, dec = sun_deg(2461055.5)  # 2026-01-15, the default date of a scenario
     inside = load_unit(unit).exclusion.sun_deg * 0.75
@@ -45,7 +45,7 @@ def test_blinded_well_inside_the_exclusion_angle(unit: str) -> None:
         assert report["reasons"] & BLINDED
 
 
-@pytest.mark.parametrize("unit", ["roja1", "zy3"])
+@pytest.mark.parametrize("unit", ["roja1", "zy3", "aps_rs"])
 def test_not_blinded_well_outside_it(unit: str) -> None:
     ra, dec = sun_deg(2461055.5)
     outside = load_unit(unit).exclusion.sun_deg * 1.3

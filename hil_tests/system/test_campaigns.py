@@ -16,14 +16,14 @@ def campaign(name: str, unit: str, n: int) -> CampaignResult:
         return campaigns()[name].run(CampaignRequest(load_unit(unit), n, 11, Workers(1, progress)))
 
 
-@pytest.mark.parametrize(("unit", "arcsec"), [("roja1", 0.61), ("zy3", 1.67)])
+@pytest.mark.parametrize(("unit", "arcsec"), [("roja1", 0.61), ("zy3", 1.67), ("aps_rs", 2.0)])
 def test_accuracy(unit: str, arcsec: float) -> None:
     figures = campaign("accuracy", unit, 15).figures
     assert figures["tracked"] == 15
     assert figures["cross_boresight_arcsec_median"] <= arcsec
 
 
-@pytest.mark.parametrize(("unit", "coverage"), [("roja1", 0.75), ("zy3", 0.99)])
+@pytest.mark.parametrize(("unit", "coverage"), [("roja1", 0.75), ("zy3", 0.99), ("aps_rs", 0.99)])
 def test_lost_in_space(unit: str, coverage: float) -> None:
     figures = campaign("lost-in-space", unit, 200).figures
     assert figures["wrong"] == 0
@@ -32,7 +32,7 @@ def test_lost_in_space(unit: str, coverage: float) -> None:
     assert figures["right"] + figures["wrong"] + figures["unsolved"] == 200
 
 
-@pytest.mark.parametrize("unit", ["roja1", "zy3"])
+@pytest.mark.parametrize("unit", ["roja1", "zy3", "aps_rs"])
 def test_tracking_holds_at_the_largest_rate_and_is_lost_over_it(unit: str) -> None:
     figures = campaign("tracking-rate", unit, 26).figures
     assert (figures["held_at_rate"], figures["lost_over_rate"], figures["back_in_time"]) == (26, 26, 26)

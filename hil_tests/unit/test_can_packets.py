@@ -208,7 +208,7 @@ def test_a_bus_of_can_fd_takes_classic_frames_and_the_other_way_round_does_not()
 
 # -- several units on one bus -------------------------------------------------------------------------------
 
-UNITS = {"roja1": 10, "zy3": 11, "science_cam": 12}
+UNITS = {"roja1": 10, "zy3": 11, "science_cam": 12, "aps_rs": 13}
 
 
 class Bus:
@@ -250,7 +250,7 @@ class Bus:
             emulator.advance(until_ns)
 
 
-def test_three_units_on_one_bus_are_never_mixed() -> None:
+def test_four_units_on_one_bus_are_never_mixed() -> None:
     bus = Bus()
     bus.advance(600_000_000)
     for number, (name, peer) in enumerate(bus.peers.items()):
