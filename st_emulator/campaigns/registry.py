@@ -57,10 +57,22 @@ class CampaignOptions:
 def campaigns() -> dict[str, Campaign]:
     """All campaigns by name."""
     # Imported here: the command line's help needs none of it.
-    from . import accuracy, earth_rate, lost_in_space, single_stars, star_quadruples, tracking_rate
+    from . import (
+        accuracy,
+        catalogue_counts,
+        earth_rate,
+        lost_in_space,
+        single_stars,
+        star_quadruples,
+        straight_tracks,
+        tracking_rate,
+    )
 
     return {
         "accuracy": Campaign("attitude error over seeded pointings", 100, accuracy.run),
+        "catalogue-counts": Campaign(
+            "stars by magnitude and pairs of the catalogue", 1, catalogue_counts.run, spread=False, plots=True
+        ),
         "centroids": Campaign("centroid error by magnitude, at rest", 200, single_stars.run_centroids),
         "detection": Campaign(
             "detection probability by magnitude, false clusters", 400, single_stars.run_detection
@@ -75,17 +87,22 @@ def campaigns() -> dict[str, Campaign]:
         "tracking-rate": Campaign(
             "tracking at and over the largest rate, 26 directions", 26, tracking_rate.run
         ),
+        "zy3-centroids": Campaign(
+            "centroids of stars on straight slews", 60, straight_tracks.run, unit="zy3", plots=True
+        ),
     }
 
 
 CAMPAIGNS = (
     "accuracy",
+    "catalogue-counts",
     "centroids",
     "detection",
     "earth-rate",
     "lost-in-space",
     "star-quadruples",
     "tracking-rate",
+    "zy3-centroids",
 )
 
 
