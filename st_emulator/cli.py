@@ -201,8 +201,8 @@ def campaign(
     name: Annotated[
         str,
         typer.Argument(
-            help="`earth-rate`, `lost-in-space`, `accuracy`, `centroids`, `detection`, `tracking-rate` "
-            "or `star-quadruples`."
+            help="`earth-rate`, `lost-in-space`, `accuracy`, `centroids`, `detection`, `tracking-rate`, "
+            "`star-quadruples`, `zy3-table3` or `false-stars`."
         ),
     ],
     unit: Annotated[

@@ -18,9 +18,9 @@ class Share:
     high: float
     cases: int
 
-    def percent(self) -> str:
-        """As tables print it."""
-        return f"{100 * self.value:.2f} % ({100 * self.low:.2f} to {100 * self.high:.2f})"
+    def interval(self, digits: int = 2) -> str:
+        """The interval in percent, as tables print it."""
+        return f"{100 * self.low:.{digits}f}-{100 * self.high:.{digits}f}"
 
 
 def wilson(count: float, cases: float) -> tuple[float, float]:

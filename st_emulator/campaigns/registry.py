@@ -61,11 +61,13 @@ def campaigns() -> dict[str, Campaign]:
         accuracy,
         catalogue_counts,
         earth_rate,
+        false_stars,
         lost_in_space,
         single_stars,
         star_quadruples,
         straight_tracks,
         tracking_rate,
+        zy3_table3,
     )
 
     return {
@@ -80,6 +82,9 @@ def campaigns() -> dict[str, Campaign]:
         "earth-rate": Campaign(
             "the Earth's rotation from telemetered attitudes", 200, earth_rate.run, spread=False
         ),
+        "false-stars": Campaign(
+            "identification among false stars", 200, false_stars.run, unit="zy3", plots=True
+        ),
         "lost-in-space": Campaign("lost in space over random pointings", 1000, lost_in_space.run),
         "star-quadruples": Campaign(
             "the ROJA1 paper's real identifications", 3, star_quadruples.run, spread=False
@@ -90,6 +95,9 @@ def campaigns() -> dict[str, Campaign]:
         "zy3-centroids": Campaign(
             "centroids of stars on straight slews", 60, straight_tracks.run, unit="zy3", plots=True
         ),
+        "zy3-table3": Campaign(
+            "table 3 of Zhang et al. 2014", 10_000, zy3_table3.run, unit="zy3", plots=True
+        ),
     }
 
 
@@ -99,10 +107,12 @@ CAMPAIGNS = (
     "centroids",
     "detection",
     "earth-rate",
+    "false-stars",
     "lost-in-space",
     "star-quadruples",
     "tracking-rate",
     "zy3-centroids",
+    "zy3-table3",
 )
 
 
