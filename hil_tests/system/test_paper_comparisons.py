@@ -12,11 +12,13 @@ from scipy.spatial import cKDTree
 from scipy.stats import linregress
 
 from st_emulator.campaigns import catalogue_counts, straight_tracks
+from st_emulator.campaigns.bench import Chain, error_arcsec, with_section
 from st_emulator.campaigns.campaign import CampaignRequest
 from st_emulator.campaigns.plotting import write_plot
 from st_emulator.campaigns.straight_tracks import METHODS, Track, crossing_mag, straight_line, summary
 from st_emulator.campaigns.workers import Progress, Workers
-from st_emulator.profile import load_unit
+from st_emulator.errors import ConfigurationError
+from st_emulator.profile import load_unit, parse_unit, unit_text
 
 
 def request(n: int, seed: int = 3) -> CampaignRequest:
@@ -71,6 +73,36 @@ def test_residuals_are_the_centroids_errors() -> None:
     time = np.arange(50)[:, None] * np.array([0.1, 0.2])
     rms = [straight_line(time + rng.normal(0, 0.02, (50, 2)))[1] for _ in range(400)]
     assert np.sqrt(np.mean(np.square(rms))) == pytest.approx(0.02, rel=0.02)
+
+
+def test_a_unit_takes_the_centroids_that_its_file_says() -> None:
+    """Both find the attitude; interpolation is what counts as its work, and its errors are expected."""
+    profile = load_unit("zy3")
+    assert profile.detection.centroid == "com"
+    places, work = {}, {}
+    for centroid in ("com", "gaussian"):
+        chain = Chain.of(with_section(profile, "detection", centroid=centroid), 5)
+        assert chain.configuration.detection.centroid == centroid
+        assert chain.configuration.detection.psf_sigma_px == profile.optics.psf_sigma_px
+        assert chain.configuration.centroid_error.interpolated == (centroid == "gaussian")
+        for number in range(3):  # lost in space, then windows
+            frame, result = chain.step(number)
+            assert result.valid
+            error = error_arcsec(result.q_icrs_to_sensor, chain.true_attitude(frame))
+            assert np.hypot(error[0], error[1]) < 5.0
+            work[centroid, number] = result.work["centroid_interpolations"]
+        places[centroid] = result.spots.x_px[:5]
+    assert all((count > 0) == (centroid == "gaussian") for (centroid, _), count in work.items())
+    assert places["com"].tolist() != places["gaussian"].tolist()
+
+
+def test_a_unit_file_with_another_word_is_refused() -> None:
+    where, text = unit_text("zy3")
+    assert 'centroid = "com"' in text
+    with pytest.raises(ConfigurationError, match=r"detection\.centroid.*com.*gaussian"):
+        parse_unit(text.replace('centroid = "com"', 'centroid = "mean"'), where)
+    without = "\n".join(line for line in text.splitlines() if not line.startswith("centroid ="))
+    assert parse_unit(without, where).detection.centroid == "com"
 
 
 def track(magnitude: float, *rms: float) -> Track:

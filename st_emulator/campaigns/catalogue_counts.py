@@ -28,8 +28,8 @@ PAPER_PAIRS = 44_234
 PAPER_FIELD_DEG = 20.0
 REASON = (
     "the paper's 1604 stars are of the Bright Star Catalogue, by V; ours are of Hipparcos, by Hp, which is "
-    "fainter than V for all but the hottest stars, so that fewer are under 5.0. As many stars of ours, the "
-    "brightest 1604, have the paper's number of pairs to about 1 %"
+    "fainter than V for most stars, so that fewer are under 5.0. As many stars of ours, the brightest 1604, "
+    "have the paper's number of pairs to about 1 %"
 )
 
 

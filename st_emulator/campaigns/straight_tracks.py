@@ -231,23 +231,23 @@ def run(request: CampaignRequest) -> CampaignResult:
 def _interval(row: dict[str, Any], name: str, percent: bool = False) -> str:
     """A figure with its interval."""
     values = (row[name], *row[f"{name}_interval"])
-    return "{} ({} to {})".format(*(f"{100 * v:.0f}" if percent else f"{v:.2f}" for v in values))
+    return "{} ({}-{})".format(*(f"{100 * v:.0f}" if percent else f"{v:.2f}" for v in values))
 
 
 def _tables(
     by_magnitude: list[dict[str, Any]], by_rate: list[dict[str, Any]], paper_star: dict[str, Any]
 ) -> list[TextTable]:
     """Ours, with 95 % intervals, beside what the paper says."""
-    rows = [("{:.1f} to {:.1f} mag".format(*row["magnitudes"]), row) for row in by_magnitude]
+    rows = [("{:.1f}-{:.1f}".format(*row["magnitudes"]), row) for row in by_magnitude]
     if paper_star:
-        rows.append((f"{PAPER_STAR_MAG} +- {PAPER_BIN_MAG} mag", paper_star))
-    rows += [(f"of these at {row['rate_deg_s']} deg/s", row) for row in by_rate]
+        rows.append((f"{PAPER_STAR_MAG}+-{PAPER_BIN_MAG}", paper_star))
+    rows += [(f"  {row['rate_deg_s']} deg/s", row) for row in by_rate]
     others = [name for name in METHODS if name != "com"]
-    heads = [name.replace("_", " ") for name in METHODS]
+    heads = ["COM", "Gaussian", "2 pixels"]
     return [
         TextTable(
-            "R2 of a straight line through 50 places (median); tracks, %, with the larger R2 (95 %)",
-            ("stars", "tracks", *heads, *(f"com over {name}" for name in heads[1:])),
+            "R2 of straight lines through 50 places; tracks, %, to which COM has the larger one",
+            ("Hp, mag", "tracks", *heads, "> Gaussian", "> 2 pixels"),
             (
                 *(
                     (
@@ -258,12 +258,12 @@ def _tables(
                     )
                     for head, row in rows
                 ),
-                ("the paper: 2.9 mag", "1", "larger", "", "smaller", "", "its one track"),
+                ("paper 2.9", "1", "larger", "", "smaller", "", "yes"),
             ),
         ),
         TextTable(
-            "Residuals, 0.001 px an axis, r.m.s.; beside those of com (95 %)",
-            ("stars", *heads, *(f"{name} / com" for name in heads[1:])),
+            "Residuals, 0.001 px an axis, r.m.s., and beside those of COM",
+            ("Hp, mag", *heads, *(f"{name} / COM" for name in heads[1:])),
             tuple(
                 (
                     head,

@@ -7,12 +7,13 @@ import os
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import bare_line
 import can_image
+import identification
 import numpy as np
 import real_time
 import starting
@@ -40,7 +41,10 @@ FLOOR_PINGS = 150
 CAN_UNIT = "roja1"
 CAN_DELAY_TARGET_MS = 5
 IMAGE_SHARE_TARGET = 0.9
-PARTS = ("speed", "real_time", "start", "can", "cold")
+PARTS = ("speed", "real_time", "start", "can", "identification", "cold")
+# The pyramid's median on one core: from centroids of 20 deg scenes to names.
+IDENTIFICATION_TARGETS_MS = {"no_false_stars": 0.15, "50_false_stars": 5}
+RIGHT_TARGET = 0.99  # of the scenes, by the best of the algorithms
 SEARCHES = ("lost_in_space", "tracking", "tracking_turning")
 
 
@@ -93,6 +97,17 @@ class Bench:
             )
             checks.append(check("can_image_share_of_bus", share, ">=", IMAGE_SHARE_TARGET, ""))
             checks.append(check("vcan0_attitudes_missing", missing, "==", 0, "frames"))
+        if "identification" in parts:
+            figures["identification"] = self._identification()
+            for case, target in IDENTIFICATION_TARGETS_MS.items():
+                solvers = figures["identification"]["cases"][case]
+                median = solvers["pyramid"]["median_ms"]
+                ours = [solvers[name] for name in identification.ALGORITHMS]
+                best = max(item["right"] / item["scenes"] for item in ours)
+                wrong = sum(item["wrong"] for item in ours)
+                checks.append(check(f"pyramid_ms_{case}", median, "<=", target, "ms"))
+                checks.append(check(f"best_right_{case}", best, ">=", RIGHT_TARGET, ""))
+                checks.append(check(f"wrong_attitudes_{case}", wrong, "==", 0, "scenes"))
         if "cold" in parts:
             figures["cold_start"] = {unit: self._cold(unit) for unit in self._units}
         figures["load_average_after"] = [round(load, 2) for load in os.getloadavg()]
@@ -136,14 +151,9 @@ class Bench:
             *("--rounds", str(count), "--frames", str(frames), *(["--stages"] if stages else [])),
         ]
         results = []
-        environment = {**os.environ, **throughput.ONE_THREAD}
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
-            assert process.stdout is not None
-            for line in process.stdout:
-                results.append(json.loads(line))
-                advance()
-        if process.returncode != 0:
-            raise SystemExit(f"{' '.join(command)}: ended with status {process.returncode}")
+        for item in on_one_thread(command):
+            results.append(item)
+            advance()
         self._progress.remove_task(task)
         return results
 
@@ -180,12 +190,37 @@ class Bench:
         self._progress.remove_task(task)
         return {"unit": CAN_UNIT, "vcan0": session, "image_virtual_time": image}
 
+    def _identification(self) -> dict[str, Any]:
+        """All algorithms, and the peers that are installed, on the same centroids."""
+        scenes = identification.QUICK_SCENES if self._quick else identification.SCENES
+        cases = len(identification.CASES)
+        task, advance = self._task(
+            "identification: algorithms and peers", cases * scenes // identification.TURN
+        )
+        figures: dict[str, Any] = {}
+        for item in on_one_thread([sys.executable, identification.__file__, "--scenes", str(scenes)]):
+            figures = item.get("figures", figures)
+            advance()
+        self._progress.remove_task(task)
+        return figures
+
     def _cold(self, unit: str) -> dict[str, Any]:
         task, advance = self._task(f"{unit}: first start with empty caches", 1)
         figures = starting.cold_start(unit)
         advance()
         self._progress.remove_task(task)
         return figures
+
+
+def on_one_thread(command: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """The JSON objects that a process with one thread prints, a line each; SystemExit when it fails."""
+    environment = {**os.environ, **throughput.ONE_THREAD}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            yield json.loads(line)
+    if process.returncode != 0:
+        raise SystemExit(f"{' '.join(command)}: ended with status {process.returncode}")
 
 
 def main(

@@ -21,6 +21,7 @@ ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
+    "RAYON_NUM_THREADS": "1",
 }
 # Across the sky, dense and sparse, Sun and Moon far away: (right ascension, declination), degrees.
 POINTINGS_DEG = ((84.0, -1.5), (10.0, 60.0), (190.0, 57.0), (300.0, 40.0), (330.0, 25.0), (150.0, -50.0))
