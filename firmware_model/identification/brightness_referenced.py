@@ -74,6 +74,7 @@ from .verification import (
     TRIANGLES_TESTED,
     CountArray,
     exhausted_kernel,
+    separation_kernel,
     spread_kernel,
     work_of,
 )
@@ -104,7 +105,7 @@ def identify(
     spots = len(usable)
     if spots < 3:
         return no_identification(len(spikes), Reason.TOO_FEW_STARS), Work()
-    limit_mag = parameters.brightness.bright_limit_mag
+    limit_mag = float(parameters.brightness.bright_limit_mag)
     stars, cells = catalogue.catalogue, catalogue.catalogue.cells
     solutions = no_solutions(spots)
     counts = np.zeros(len(COUNT_NAMES), np.int64)
@@ -122,20 +123,21 @@ def identify(
         _arrays(catalogue.pairs),
         _arrays(catalogue.reference_pairs(limit_mag)),
         (
-            parameters.tolerance_rad,
-            parameters.min_stars,
+            float(parameters.tolerance_rad),
+            int(parameters.min_stars),
             _NO_FIELD
             if parameters.field_normals is None
             else np.ascontiguousarray(parameters.field_normals, np.float64),
-            parameters.least_seen_share,
-            parameters.magnitude_tolerance,
-            parameters.most_false_solutions,
-            parameters.most_false_triangles,
-            parameters.certain_false_solutions,
+            float(parameters.least_seen_share),
+            float(parameters.magnitude_tolerance),
+            float(parameters.most_false_solutions),
+            float(parameters.most_false_triangles),
+            float(parameters.certain_false_solutions),
             parameters.work_limit,
+            float(separation_kernel(catalogue.pairs.cos_angle)),
         ),
-        parameters.max_spots,
-        parameters.brightness.distinct_mag,
+        int(parameters.max_spots),
+        float(parameters.brightness.distinct_mag),
         limit_mag,
         solutions,
         counts,
@@ -263,13 +265,16 @@ def _meet_kernel(
             flat = 2.0 * limits[0] * math.acos(max(-1.0, min(1.0, longest)))
             if volume * mirror < 0.0 and min(abs(volume), abs(mirror)) > flat:
                 continue
-            if (
-                numbers[CONFIRMED, MATCHED] > 0
-                and star_index[CONFIRMED, pivot] == star
-                and star_index[CONFIRMED, earlier_spot] == earlier
-                and star_index[CONFIRMED, spot] == other
-            ):
-                continue  # the solution already found, once more
+            known = False
+            for kept in range(2):
+                known = known or (
+                    numbers[kept, MATCHED] > 0
+                    and star_index[kept, pivot] == star
+                    and star_index[kept, earlier_spot] == earlier
+                    and star_index[kept, spot] == other
+                )
+            if known:
+                continue  # a solution already found, once more
             if exhausted_kernel(counts, limits[8]):
                 return LIMIT
             trial_index[:] = -1
@@ -366,6 +371,11 @@ def _search_kernel(
             waiting, waiting_first, waiting_end, waiting_ends = -1, 0, 0, 0  # a range not marked yet
             left = spots - 1 - pivot
             while left > 0:
+                brightest = pivot + 1 + max(0, left - _GROUP)
+                if round_ < 2:
+                    counts[MAGNITUDES_COMPARED] += 1
+                # Spikes come brightest first: what holds for the group's brightest holds for all of it.
+                distinct = round_ < 2 and magnitudes[brightest] - magnitudes[pivot] > distinct_mag
                 size = _group_kernel(pivot, left, group_spot, b, limits[0], windows, counts)
                 left = left - size if round_ > 0 else 0  # one group alone in reference mode
                 for member in range(size):
@@ -390,11 +400,11 @@ def _search_kernel(
                     if exhausted_kernel(counts, limits[8]):
                         return LIMIT
                     ends = 2
-                    if round_ < 2:
+                    if round_ < 2 and not distinct:
                         counts[MAGNITUDES_COMPARED] += 1
-                        if magnitudes[spot] - magnitudes[pivot] > distinct_mag:
-                            ends = 1
-                            ordered = True
+                    if round_ < 2 and (distinct or magnitudes[spot] - magnitudes[pivot] > distinct_mag):
+                        ends = 1
+                        ordered = True
                     room = 2 * (waiting_end - waiting_first + end - first)
                     if used + room > len(chain):
                         chain = _longer(chain, used, room)

@@ -24,8 +24,8 @@ MOST_TRIANGLE_SPOTS = 4  # images of more spikes need a confirmed solution
 
 # unit vectors, magnitudes and the sky grid
 Stars = tuple[FloatArray, npt.NDArray[np.float32], float, IntArray, IntArray, IntArray]
-# IdentificationParameters from tolerance_rad to work_limit, as judge_kernel unpacks them
-Limits = tuple[float, int, FloatArray, float, float, float, float, float, FloatArray]
+# IdentificationParameters from tolerance_rad to work_limit, then `separation_kernel`'s angle
+Limits = tuple[float, int, FloatArray, float, float, float, float, float, FloatArray, float]
 # star_index[2, n], q[2, 4], numbers[2, 4], chance[2]
 Solutions = tuple[IntArray, FloatArray, npt.NDArray[np.int64], FloatArray]
 
@@ -105,6 +105,7 @@ def judge_kernel(
     unit_vectors, hp_mag, band_height_rad, band_first_cell, cell_start, cell_star = stars
     tolerance_rad, min_stars, normals, least_seen_share, magnitude_tolerance = limits[:5]
     most_false_solutions, most_false_triangles, certain_false_solutions = limits[5:8]
+    separation_rad = limits[9]
     star_index, q, numbers, chances = solutions
     spots = len(b)
     refine_kernel(b, unit_vectors, trial_index, trial_q, counts)
@@ -118,6 +119,7 @@ def judge_kernel(
         band_first_cell,
         cell_start,
         cell_star,
+        separation_rad,
         tolerance_rad,
         3 if spots <= MOST_TRIANGLE_SPOTS else min_stars,
         normals,

@@ -106,6 +106,14 @@ def spread_kernel(b: FloatArray, count: int) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
+def separation_kernel(cos_angle: FloatArray) -> float:
+    """Angle of the closest pair of a pair catalogue's ascending cosines, rad; 0 if there is none."""
+    if len(cos_angle) == 0:
+        return 0.0
+    return math.acos(min(1.0, cos_angle[-1]))
+
+
+@numba.njit(cache=True, nogil=True)
 def match_spots_kernel(
     b: FloatArray,
     q: FloatArray,
@@ -114,6 +122,7 @@ def match_spots_kernel(
     band_first_cell: IntArray,
     cell_start: IntArray,
     cell_star: IntArray,
+    separation_rad: float,
     radius_rad: float,
     searched_rad: float,
     only_star: IntArray,
@@ -123,10 +132,11 @@ def match_spots_kernel(
 ) -> int:
     """Match every spot to the nearest star within radius_rad under q; a star only to its nearest spot.
 
-    Writes star_index[n] (-1 where none) and returns the number of matches. only_star[n], only_angle[n]: of
-    the spots that an earlier attitude brought next to one star alone within searched_rad that star and its
-    angle, else -1; kept up to date where this attitude is searched as wide. Such a spot needs no second
-    search as long as it has not moved so far that another star can be within radius_rad by now.
+    Writes star_index[n] (-1 where none) and returns the number of matches.
+    only_star[n], only_angle[n]: a star that a spot is thought to be, or -1; and its angle, if a search with
+    an earlier attitude found it alone within searched_rad, else inf. Where it must be the only one within
+    radius_rad still, nothing is searched: no two stars are closer than separation_rad, and a spot has moved
+    by no more than the sum of both angles. Both are kept up to date by searches as wide as searched_rad.
     """
     spots = len(b)
     a = np.empty((3, 3))
@@ -145,11 +155,13 @@ def match_spots_kernel(
             dy = unit_vectors[star, 1] - y
             dz = unit_vectors[star, 2] - z
             angle[spot] = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(dx * dx + dy * dy + dz * dz)))
-            # The spot has moved by no more than the sum of both angles.
-            if only_angle[spot] + angle[spot] > searched_rad - radius_rad:
-                star = -1
-            else:
+            if (
+                angle[spot] + radius_rad < separation_rad
+                or only_angle[spot] + angle[spot] <= searched_rad - radius_rad
+            ):
                 star_index[spot] = star if angle[spot] <= radius_rad else -1
+            else:
+                star = -1
         if star < 0:
             near, tested = stars_in_cone_kernel(
                 unit_vectors,
@@ -347,6 +359,7 @@ def verify_kernel(
     band_first_cell: IntArray,
     cell_start: IntArray,
     cell_star: IntArray,
+    separation_rad: float,
     tolerance_rad: float,
     min_stars: int,
     normals: FloatArray,
@@ -357,14 +370,16 @@ def verify_kernel(
 ) -> tuple[int, int, int]:
     """(matched, expected, seen) of the trial attitude q, which is refined; matched is 0 when the trial fails.
 
+    star_index[n]: the stars that the trial is made of, -1 elsewhere; the matches are written there.
+    separation_rad: no two stars of the catalogue are closer (`separation_kernel`).
     Three passes: a wide one, since a few stars close together fix the far end of the field badly, then two
     at the tolerance. A trial fails with fewer than min_stars matches, when too few of the stars that must
     be in the field are matched (field given: normals[4, 3], else normals[0, 3]), or when few matches do not
     agree in brightness.
     """
     spots = len(b)
-    only_star = np.full(spots, -1, np.int32)
-    only_angle = np.zeros(spots)
+    only_star = star_index.copy()
+    only_angle = np.full(spots, np.inf)
     before = np.empty(spots, np.int32)
     matched = 0
     for trial in range(3):
@@ -378,6 +393,7 @@ def verify_kernel(
             band_first_cell,
             cell_start,
             cell_star,
+            separation_rad,
             2.0 * tolerance_rad if trial == 0 else tolerance_rad,
             2.0 * tolerance_rad,
             only_star,
