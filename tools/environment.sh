@@ -44,7 +44,11 @@ prepare_environment() {
     [ -x .venv/bin/python ] && .venv/bin/python -c '' 2>/dev/null || make_environment
     stamp=.venv/.installed${extra:+-$extra}
     wanted=$(cksum <pyproject.toml)
-    if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
+    # What was installed with an extra holds what is needed without one.
+    if [ -z "$extra" ] && grep -qxs -- "$wanted" .venv/.installed*; then
+        stamp=
+    fi
+    if [ -n "$stamp" ] && [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
         say "Installing what the project needs (once; a few hundred megabytes)"
         .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".${extra:+[$extra]}" >&2 ||
             fail "The installation failed: pip needs a package index it can reach (see its message above)."

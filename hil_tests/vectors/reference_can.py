@@ -101,6 +101,11 @@ class Peer:
             if self._sending:
                 self._begin()
 
+    @property
+    def sending(self) -> bool:
+        """Whether a telecommand waits or is under way."""
+        return bool(self._sending)
+
     def put(self, payload: bytes) -> None:
         self.said.append(payload)
         fd = self.frame_bytes > 8
