@@ -6,7 +6,8 @@ their sides, a triangle with the handedness of the spots, a fourth star whose th
 Mortari wants the triangle to be the only one, every triangle that fits is given to the fourth star here:
 with a wide tolerance (a lens whose distortion is not known) several always fit, and the fourth decides.
 Every confirmed pyramid must then explain the rest of the image (verification.py), and no second attitude
-may explain it too.
+may explain it too (solutions.py). Images of three or four spots only have no fourth to spare: there every
+triangle is judged, and one alone is UNCONFIRMED.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import math
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from ..catalogue.kvector import range_kernel
 from ..catalogue.tables import StarTables
@@ -31,6 +31,21 @@ from .interface import (
     no_identification,
     usable_spikes,
 )
+from .solutions import (
+    CONFIRMED,
+    LIMIT,
+    MATCHED,
+    MOST_TRIANGLE_SPOTS,
+    NOTHING,
+    TRIANGLE,
+    Limits,
+    Solutions,
+    Stars,
+    best_identification,
+    judge_kernel,
+    no_solutions,
+    volume_kernel,
+)
 from .verification import (
     ANGLES_COMPUTED,
     CANDIDATES_MARKED,
@@ -44,17 +59,16 @@ from .verification import (
     TRIANGLES_TESTED,
     CountArray,
     exhausted_kernel,
-    false_solutions_kernel,
-    refine_kernel,
     separation_kernel,
     spread_kernel,
-    verify_kernel,
     work_of,
 )
 
-_SOLVED, _NO_MATCH, _AMBIGUOUS, _WORK_LIMIT = range(4)
-_REASONS = (Reason.NONE, Reason.NO_MATCH, Reason.AMBIGUOUS, Reason.WORK_LIMIT)
 _NO_FIELD = np.zeros((0, 3))
+_FEWEST = 3
+_MOST_ENTRIES = 1 << 30  # entries of the mark table are numbered on and on; here the numbers start again
+
+_Pairs = tuple[FloatArray, IntArray, IntArray, float, float, IntArray]
 
 
 def identify(
@@ -62,18 +76,16 @@ def identify(
 ) -> tuple[Identification, Work]:
     """Identify spots by the pyramid algorithm; see `IdentificationAlgorithm` for the contract."""
     usable, places = usable_spikes(spikes)
-    b, measured_mag = usable.b_vectors, usable.magnitudes
     spots = len(usable)
-    if spots < 4:
+    if spots < _FEWEST:
         return no_identification(len(spikes), Reason.TOO_FEW_STARS), Work()
-    star_index = np.full(spots, -1, np.int32)
-    q = np.zeros(4)
+    solutions = no_solutions(spots)
     counts = np.zeros(len(COUNT_NAMES), np.int64)
     stars, pair_catalogue = catalogue.catalogue, catalogue.pairs
     cells, kvector = stars.cells, pair_catalogue.kvector
-    outcome, matched, expected, seen, chance = _pyramid_kernel(
-        b,
-        measured_mag,
+    outcome = _pyramid_kernel(
+        usable.b_vectors,
+        usable.magnitudes,
         (
             stars.unit_vectors,
             stars.hp_mag,
@@ -90,26 +102,24 @@ def identify(
             kvector.offset,
             kvector.count_below,
         ),
-        parameters.tolerance_rad,
-        parameters.max_spots,
-        parameters.min_stars,
-        _NO_FIELD if parameters.field_normals is None else np.ascontiguousarray(parameters.field_normals),
-        parameters.least_seen_share,
-        parameters.magnitude_tolerance,
-        parameters.most_false_solutions,
-        parameters.certain_false_solutions,
-        parameters.max_triads,
-        parameters.max_pairs_compared,
-        parameters.work_limit,
-        star_index,
-        q,
+        (
+            float(parameters.tolerance_rad),
+            int(parameters.min_stars),
+            _NO_FIELD if parameters.field_normals is None else np.ascontiguousarray(parameters.field_normals),
+            float(parameters.least_seen_share),
+            float(parameters.magnitude_tolerance),
+            float(parameters.most_false_solutions),
+            float(parameters.most_false_triangles),
+            float(parameters.certain_false_solutions),
+            parameters.work_limit,
+            float(separation_kernel(pair_catalogue.cos_angle)),
+        ),
+        (int(parameters.max_spots), int(parameters.max_triads), int(parameters.max_pairs_compared)),
+        solutions,
         counts,
     )
-    work = work_of(counts)
-    if outcome != _SOLVED:
-        return no_identification(len(spikes), _REASONS[outcome]), work
-    found = Identification(star_index, int(matched), Reason.NONE, q, float(chance), int(expected), int(seen))
-    return for_all_spikes(found, places, len(spikes)), work
+    found = best_identification(outcome, spots, solutions)
+    return for_all_spikes(found, places, len(spikes)), work_of(counts)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -118,7 +128,7 @@ def _side_kernel(
     j: int,
     b: FloatArray,
     tolerance_rad: float,
-    pairs: tuple[FloatArray, IntArray, IntArray, float, float, IntArray],
+    pairs: _Pairs,
     first: IntArray,
     end: IntArray,
     lowest: FloatArray,
@@ -153,7 +163,7 @@ def _fourth_kernel(
     b: FloatArray,
     tolerance_rad: float,
     unit_vectors: FloatArray,
-    pairs: tuple[FloatArray, IntArray, IntArray, float, float, IntArray],
+    pairs: _Pairs,
     first: IntArray,
     end: IntArray,
     lowest: FloatArray,
@@ -209,40 +219,26 @@ def _fourth_kernel(
 
 
 @numba.njit(cache=True, nogil=True)
-def _volume(u: FloatArray, i: int, j: int, k: int) -> float:
-    """Triple product u_i . (u_j x u_k): its sign is the triangle's handedness."""
-    volume: float = (
-        u[i, 0] * (u[j, 1] * u[k, 2] - u[j, 2] * u[k, 1])
-        + u[i, 1] * (u[j, 2] * u[k, 0] - u[j, 0] * u[k, 2])
-        + u[i, 2] * (u[j, 0] * u[k, 1] - u[j, 1] * u[k, 0])
-    )
-    return volume
-
-
-@numba.njit(cache=True, nogil=True)
 def _pyramid_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
-    stars: tuple[FloatArray, npt.NDArray[np.float32], float, IntArray, IntArray, IntArray],
-    pairs: tuple[FloatArray, IntArray, IntArray, float, float, IntArray],
-    tolerance_rad: float,
-    max_spots: int,
-    min_stars: int,
-    normals: FloatArray,
-    least_seen_share: float,
-    magnitude_tolerance: float,
-    most_false_solutions: float,
-    certain_false_solutions: float,
-    max_triads: int,
-    max_pairs_compared: int,
-    work_limit: FloatArray,
-    star_index: IntArray,
-    q: FloatArray,
+    stars: Stars,
+    pairs: _Pairs,
+    limits: Limits,
+    most: tuple[int, int, int],
+    solutions: Solutions,
     counts: CountArray,
-) -> tuple[int, int, int, int, float]:
-    """(outcome, matched, expected, seen, false solutions); the solution in star_index[n] and q[4]."""
-    unit_vectors, hp_mag, band_height_rad, band_first_cell, cell_start, cell_star = stars
+) -> int:
+    """How the search ends (NOTHING, CERTAIN, RIVAL or LIMIT, see solutions.py); what it found in `solutions`.
+
+    most: max_spots, max_triads, max_pairs_compared.
+    """
+    unit_vectors = stars[0]
     _, brighter, dimmer, _, _, _ = pairs
+    tolerance_rad = limits[0]
+    work_limit = limits[8]
+    max_spots, max_triads, max_pairs_compared = most
+    star_index, _, numbers, _ = solutions
     all_spots = len(b)
     spots = min(all_spots, max_spots)
     spread = spread_kernel(b, all_spots)
@@ -250,15 +246,14 @@ def _pyramid_kernel(
     end = np.full((spots, spots), -1, np.int32)
     lowest = np.empty((spots, spots))
     highest = np.empty((spots, spots))
-    # Mark table: chain[head[s]] .. lists the partners of star s among the pairs that fit one side.
+    # Mark table: chain[head[s] - base] .. lists the partners of star s among the pairs that fit one side.
+    # What is numbered below base is of an earlier triad, so nothing needs to be cleared.
     head = np.full(len(unit_vectors), -1, np.int32)
     partner = np.empty(1024, np.int32)
     chain = np.empty(1024, np.int32)
+    base = 0
     trial_index = np.empty(all_spots, np.int32)
     trial_q = np.empty(4)
-    best_matched = best_expected = best_seen = 0
-    best_chance = math.inf
-    limited = False
     for dj in range(1, spots - 1):
         for dk in range(1, spots - dj):
             for i in range(spots - dj - dk):
@@ -269,8 +264,7 @@ def _pyramid_kernel(
                     or counts[PAIRS_COMPARED] >= max_pairs_compared
                     or exhausted_kernel(counts, work_limit)
                 ):
-                    limited = True
-                    break
+                    return LIMIT
                 counts[TRIADS_TESTED] += 1
                 _side_kernel(i, j, b, tolerance_rad, pairs, first, end, lowest, highest, counts)
                 _side_kernel(i, k, b, tolerance_rad, pairs, first, end, lowest, highest, counts)
@@ -291,32 +285,36 @@ def _pyramid_kernel(
                 if entries > len(partner):
                     partner = np.empty(2 * entries, np.int32)
                     chain = np.empty(2 * entries, np.int32)
+                if base > _MOST_ENTRIES:
+                    base = 0
+                    head[:] = -1
+                    counts[CANDIDATES_MARKED] += len(head)
                 entry = 0
                 for place in range(first[apex, left], end[apex, left]):
                     one = brighter[place]
                     other = dimmer[place]
                     partner[entry] = other
                     chain[entry] = head[one]
-                    head[one] = entry
+                    head[one] = base + entry
                     partner[entry + 1] = one
                     chain[entry + 1] = head[other]
-                    head[other] = entry + 1
+                    head[other] = base + entry + 1
                     entry += 2
                 counts[CANDIDATES_MARKED] += 2 * entries
                 counts[PAIRS_COMPARED] += end[apex, right] - first[apex, right]
-                volume = _volume(b, apex, left, right)
+                volume = volume_kernel(b, apex, left, right)
                 longest = math.acos(min(1.0, min(lowest[i, j], min(lowest[i, k], lowest[j, k]))))
                 # A triangle so flat that the tolerance can turn it over has no handedness.
                 flat = 2.0 * tolerance_rad * longest
-                certain = False
                 for place in range(first[apex, right], end[apex, right]):
                     for turned in range(2):
                         star_apex = brighter[place] if turned == 0 else dimmer[place]
                         star_right = dimmer[place] if turned == 0 else brighter[place]
-                        entry = head[star_apex]
-                        while entry >= 0:
+                        following = head[star_apex]
+                        while following >= base:
+                            entry = following - base
+                            following = chain[entry]
                             star_left = partner[entry]
-                            entry = chain[entry]
                             if star_left == star_right:
                                 continue
                             counts[TRIANGLES_TESTED] += 1
@@ -327,108 +325,56 @@ def _pyramid_kernel(
                             )
                             if cosine < lowest[left, right] or cosine > highest[left, right]:
                                 continue
-                            mirror = _volume(unit_vectors, star_apex, star_left, star_right)
+                            mirror = volume_kernel(unit_vectors, star_apex, star_left, star_right)
                             if volume * mirror < 0.0 and min(abs(volume), abs(mirror)) > flat:
                                 continue
-                            if (
-                                best_matched > 0
-                                and star_index[apex] == star_apex
-                                and star_index[left] == star_left
-                                and star_index[right] == star_right
-                            ):
-                                continue  # the solution already found, once more
-                            fourth, star_fourth = _fourth_kernel(
-                                spots,
-                                (apex, left, right),
-                                (star_apex, star_left, star_right),
-                                b,
-                                tolerance_rad,
-                                unit_vectors,
-                                pairs,
-                                first,
-                                end,
-                                lowest,
-                                highest,
-                                counts,
-                            )
-                            if fourth < 0:
+                            known = False
+                            for kept in (CONFIRMED, TRIANGLE):
+                                known = known or (
+                                    numbers[kept, MATCHED] > 0
+                                    and star_index[kept, apex] == star_apex
+                                    and star_index[kept, left] == star_left
+                                    and star_index[kept, right] == star_right
+                                )
+                            if known:
                                 continue
+                            if exhausted_kernel(counts, work_limit):
+                                return LIMIT
                             for spot in range(all_spots):
                                 trial_index[spot] = -1
                             trial_index[apex] = star_apex
                             trial_index[left] = star_left
                             trial_index[right] = star_right
-                            trial_index[fourth] = star_fourth
-                            refine_kernel(b, unit_vectors, trial_index, trial_q, counts)
-                            matched, expected, seen = verify_kernel(
+                            if all_spots > MOST_TRIANGLE_SPOTS:
+                                fourth, star_fourth = _fourth_kernel(
+                                    spots,
+                                    (apex, left, right),
+                                    (star_apex, star_left, star_right),
+                                    b,
+                                    tolerance_rad,
+                                    unit_vectors,
+                                    pairs,
+                                    first,
+                                    end,
+                                    lowest,
+                                    highest,
+                                    counts,
+                                )
+                                if fourth < 0:
+                                    continue
+                                trial_index[fourth] = star_fourth
+                            judged = judge_kernel(
                                 b,
                                 magnitudes,
-                                trial_q,
-                                unit_vectors,
-                                hp_mag,
-                                band_height_rad,
-                                band_first_cell,
-                                cell_start,
-                                cell_star,
-                                separation_kernel(pairs[0]),
-                                tolerance_rad,
-                                min_stars,
-                                normals,
-                                least_seen_share,
-                                magnitude_tolerance,
+                                spread,
+                                stars,
+                                limits,
                                 trial_index,
+                                trial_q,
+                                solutions,
                                 counts,
                             )
-                            if matched == 0:
-                                continue
-                            chance = false_solutions_kernel(
-                                len(unit_vectors), all_spots, matched, spread, tolerance_rad
-                            )
-                            if chance > most_false_solutions:
-                                continue
-                            if best_matched > 0:
-                                same = True
-                                for spot in range(all_spots):
-                                    if trial_index[spot] >= 0 and star_index[spot] >= 0:
-                                        same = same and trial_index[spot] == star_index[spot]
-                                turn = (
-                                    q[0] * trial_q[0]
-                                    + q[1] * trial_q[1]
-                                    + q[2] * trial_q[2]
-                                    + q[3] * trial_q[3]
-                                )
-                                # 1 - |turn| = (angle / 2)^2 / 2; a roll may differ by the tolerance over
-                                # the spread
-                                angle = 2.0 * math.sqrt(max(0.0, 2.0 * (1.0 - abs(turn))))
-                                same = same and angle < 4.0 * tolerance_rad / min(1.0, max(spread, 0.01))
-                                # A rival stands unless one of the two is certain.
-                                if not same and min(chance, best_chance) > certain_false_solutions:
-                                    return _AMBIGUOUS, 0, 0, 0, math.inf
-                                if chance >= best_chance:
-                                    continue
-                            best_matched, best_expected, best_seen = matched, expected, seen
-                            best_chance = chance
-                            for spot in range(all_spots):
-                                star_index[spot] = trial_index[spot]
-                            for m in range(4):
-                                q[m] = trial_q[m]
-                            if chance <= certain_false_solutions:
-                                certain = True
-                                break
-                        if certain:
-                            break
-                    if certain:
-                        break
-                for place in range(first[apex, left], end[apex, left]):
-                    head[brighter[place]] = -1
-                    head[dimmer[place]] = -1
-                counts[CANDIDATES_MARKED] += entries
-                if certain:
-                    return _SOLVED, best_matched, best_expected, best_seen, best_chance
-            if limited:
-                break
-        if limited:
-            break
-    if best_matched > 0:
-        return _SOLVED, best_matched, best_expected, best_seen, best_chance
-    return (_WORK_LIMIT if limited else _NO_MATCH), 0, 0, 0, math.inf
+                            if judged != NOTHING:
+                                return judged
+                base += entries
+    return NOTHING

@@ -59,12 +59,16 @@ def identify(
     max_spots: int = 20,
     min_stars: int = 4,
     most_false: float = 1e-5,
+    most_false_triangle: float = 1e-2,
     certain_false: float = 1e-9,
 ) -> tuple[str, NDArray[np.int32]]:
-    """("NONE" | "NO_MATCH" | "AMBIGUOUS" | "TOO_FEW_STARS", row of the catalogue for each spot)."""
+    """(name of the reason, row of the catalogue for each spot)."""
     nothing = np.full(len(b), -1, np.int32)
-    if len(b) < 4:
+    if len(b) < 3:
         return "TOO_FEW_STARS", nothing
+    triangles = len(b) <= 4  # no fourth to spare
+    triangle: tuple[float, NDArray[np.int32]] | None = None
+    rivals = 0
     between = angles(catalogue, catalogue)
     between[(between > max_angle) | np.eye(len(catalogue), dtype=bool)] = np.inf
     measured = angles(b, b)
@@ -89,23 +93,35 @@ def identify(
                 ):
                     continue
                 fourth = None
-                for spot in set(range(spots)) - {i, j, k}:
+                corners, named = [i, j, k], [star_i, star_j, star_k]
+                for spot in set() if triangles else set(range(spots)) - {i, j, k}:
                     completes = fits[i, spot][star_i] & fits[j, spot][star_j] & fits[k, spot][star_k]
                     if completes.any():
                         fourth = spot, int(np.flatnonzero(completes)[0])
                         break
-                if fourth is None:
+                if fourth is not None:
+                    corners.append(fourth[0])
+                    named.append(fourth[1])
+                elif not triangles:
                     continue
-                a = attitude(b[[i, j, k, fourth[0]]], catalogue[[star_i, star_j, star_k, fourth[1]]])
+                least = 3 if triangles else min_stars
+                a = attitude(b[corners], catalogue[named])
                 for radius in (2 * tolerance, tolerance, tolerance):
                     trial = match(b, a, catalogue, radius)
-                    if (trial >= 0).sum() < min_stars:
+                    if (trial >= 0).sum() < least:
                         break
                     a = attitude(b[trial >= 0], catalogue[trial[trial >= 0]])
                 matched = int((trial >= 0).sum())
-                if matched < min_stars:
+                if matched < least:
                     continue
                 false = chance(len(catalogue), len(b), matched, spread, tolerance)
+                if matched < min_stars:
+                    if false <= most_false_triangle:
+                        if triangle is None:
+                            triangle = false, trial
+                        both = (trial >= 0) & (triangle[1] >= 0)
+                        rivals += bool((trial[both] != triangle[1][both]).any()) or both.sum() < 2
+                    continue
                 if false > most_false:
                     continue
                 if best is not None:
@@ -118,4 +134,8 @@ def identify(
                 best = false, trial
                 if false <= certain_false:
                     return "NONE", trial
-    return ("NONE", best[1]) if best is not None else ("NO_MATCH", nothing)
+    if best is not None:
+        return "NONE", best[1]
+    if triangle is None:
+        return "NO_MATCH", nothing
+    return ("AMBIGUOUS", nothing) if rivals else ("UNCONFIRMED", triangle[1])

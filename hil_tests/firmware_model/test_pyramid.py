@@ -104,6 +104,9 @@ def test_hundreds_of_skies_are_solved_and_none_wrongly(name: str, false: int) ->
         found, _ = solve(name, b, magnitude)
         catalogued = int((view.magnitude < np.float32(sky(name).limit_mag)).sum())
         eligible += catalogued >= 5
+        if found.reason == Reason.UNCONFIRMED:
+            assert found.verified == (found.star_index >= 0).sum() == 3
+            continue
         if found.reason != Reason.NONE:
             assert found.verified == 0
             assert (found.star_index == -1).all()
@@ -176,7 +179,7 @@ def test_a_spot_off_by_more_than_the_tolerance_is_not_matched() -> None:
 
 def test_a_triangle_alone_is_never_valid() -> None:
     rng = np.random.default_rng(7)
-    for count in (0, 1, 2, 3):
+    for count in (0, 1, 2):
         view = some(sky("narrow").view(random_attitude(rng)), count)
         b, magnitude, _ = measure(rng, NARROW, view)
         found, work = solve("narrow", b, magnitude)
@@ -189,6 +192,33 @@ def test_a_triangle_alone_is_never_valid() -> None:
         assert found.reason == Reason.NO_MATCH
     with pytest.raises(ValueError, match="triangle"):
         IdentificationParameters(1e-4, min_stars=3)
+
+
+@pytest.mark.parametrize("false", [0, 1])
+def test_three_stars_are_identified_but_unconfirmed(false: int) -> None:
+    """Alone or with a false one beside them: told with their attitude, of which chance is not excluded."""
+    rng = np.random.default_rng(17)
+    right = tried = 0
+    while tried < 200:
+        q = random_attitude(rng)
+        view = sky("wide").view(q)
+        if len(view) < 3:
+            continue
+        tried += 1
+        b, magnitude, row = measure(rng, WIDE, some(view, 3), false=false)
+        found, _ = solve("wide", b, magnitude)
+        assert found.reason in (Reason.UNCONFIRMED, Reason.AMBIGUOUS)
+        if found.reason == Reason.AMBIGUOUS:
+            assert (found.star_index == -1).all()
+            continue
+        assert found.identified
+        assert found.verified == 3
+        assert 1e-5 < found.false_solutions < 1e-2
+        if (sky("wide").catalogue.hip[found.star_index[row >= 0]] == row[row >= 0] + 1).all():
+            assert (found.star_index[row < 0] == -1).all()
+            assert np.linalg.norm(turn_between(q, found.q_icrs_to_sensor)[:2]) < 30 * ARCSEC
+            right += 1
+    assert right >= 0.98 * tried
 
 
 def twin_catalogue(rng: np.random.Generator, stars: int) -> tuple[np.ndarray, np.ndarray]:
