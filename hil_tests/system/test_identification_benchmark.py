@@ -1,4 +1,4 @@
-"""The part "identification" of tools/bench: every algorithm on the same scenes, peers or their absence told."""
+"""The part "identification" of tools/bench: all algorithms on the same scenes; which peers are absent."""
 
 import json
 import subprocess
