@@ -156,6 +156,33 @@ def test_a_report_that_is_lost_itself_is_made_up_for() -> None:
     assert bench.events("CAN_PACKETS_LOST") == [{"reason": TIMEOUT_BS, "packets": lost}]
 
 
+def test_a_report_that_finds_the_queue_full_is_made_up_for() -> None:
+    bench = reporting(can_section={"heartbeat_ms": 0})
+    since = last_count(bench)
+    bench.forget()
+    deaf(bench, True)
+    bench.run(3000)
+    port = bench.emulator.unit.port
+    queue, full = port.queue, [True]
+
+    def short_of_room(packet: bytes, limit_bytes: int) -> int:
+        lost_report = packet[7:9] + packet[20:22] == b"\x05\x02\x00\x17"
+        return queue(packet, 0 if full[0] and lost_report else limit_bytes)
+
+    port.queue = short_of_room
+    deaf(bench, False)
+    bench.run(2000)
+    assert bench.events("CAN_PACKETS_LOST") == []
+    assert len(bench.of("hk_report")) > 3
+    full[0] = False
+    bench.run(1000)
+    (event,) = bench.events("CAN_PACKETS_LOST")
+    assert event["packets"] > 5
+    overflowed = sum(item["packets"] for item in bench.events("TX_QUEUE_OVERFLOWED"))
+    assert overflowed > 3, "reports that found no room"
+    assert event["packets"] + overflowed == missing(bench, since)
+
+
 def test_a_loss_is_not_told_while_the_event_is_disabled() -> None:
     bench = reporting()
     bench.send("event_disable", {"event_ids": [int(EventId.CAN_PACKETS_LOST)]}, ack=0)
