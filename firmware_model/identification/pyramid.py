@@ -18,6 +18,7 @@ import numba
 import numpy as np
 
 from ..catalogue.kvector import range_kernel
+from ..catalogue.sky_cells import stars_in_cone_kernel
 from ..catalogue.tables import StarTables
 from ..reasons import Reason
 from ..work import Work
@@ -123,6 +124,28 @@ def identify(
 
 
 @numba.njit(cache=True, nogil=True)
+def _bounds_kernel(
+    i: int,
+    j: int,
+    b: FloatArray,
+    tolerance_rad: float,
+    lowest: FloatArray,
+    highest: FloatArray,
+    counts: CountArray,
+) -> None:
+    """Cosines of the angle of spots i, j with the tolerance added and taken off, computed once and kept."""
+    if lowest[i, j] <= 1.0:
+        return
+    dx = b[i, 0] - b[j, 0]
+    dy = b[i, 1] - b[j, 1]
+    dz = b[i, 2] - b[j, 2]
+    angle = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(dx * dx + dy * dy + dz * dz)))
+    counts[ANGLES_COMPUTED] += 1
+    lowest[i, j] = lowest[j, i] = math.cos(min(math.pi, angle + tolerance_rad))
+    highest[i, j] = highest[j, i] = math.cos(max(0.0, angle - tolerance_rad))
+
+
+@numba.njit(cache=True, nogil=True)
 def _side_kernel(
     i: int,
     j: int,
@@ -135,87 +158,94 @@ def _side_kernel(
     highest: FloatArray,
     counts: CountArray,
 ) -> None:
-    """Angle of spots i, j and the range of catalogue pairs that fit it, computed once and kept."""
+    """The range of catalogue pairs that fit the angle of spots i, j, looked up once and kept."""
     if first[i, j] >= 0:
         return
+    _bounds_kernel(i, j, b, tolerance_rad, lowest, highest, counts)
     cos_angle, _, _, slope, offset, count_below = pairs
-    dx = b[i, 0] - b[j, 0]
-    dy = b[i, 1] - b[j, 1]
-    dz = b[i, 2] - b[j, 2]
-    angle = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(dx * dx + dy * dy + dz * dz)))
-    low = math.cos(min(math.pi, angle + tolerance_rad))
-    high = math.cos(max(0.0, angle - tolerance_rad))
-    start, stop, _ = range_kernel(cos_angle, slope, offset, count_below, low, high)
-    counts[ANGLES_COMPUTED] += 1
+    start, stop, _ = range_kernel(cos_angle, slope, offset, count_below, lowest[i, j], highest[i, j])
     counts[KVECTOR_QUERIES] += 1
     counts[KVECTOR_HITS] += stop - start
     first[i, j] = first[j, i] = start
     end[i, j] = end[j, i] = stop
-    lowest[i, j] = lowest[j, i] = low
-    highest[i, j] = highest[j, i] = high
 
 
 @numba.njit(cache=True, nogil=True)
 def _fourth_kernel(
     spots: int,
     tried: tuple[int, int, int],
-    stars: tuple[int, int, int],
+    named: tuple[int, int, int],
     b: FloatArray,
     tolerance_rad: float,
-    unit_vectors: FloatArray,
-    pairs: _Pairs,
-    first: IntArray,
-    end: IntArray,
+    stars: Stars,
     lowest: FloatArray,
     highest: FloatArray,
+    found: IntArray,
     counts: CountArray,
 ) -> tuple[int, int]:
-    """(spot, star) that makes the triangle a pyramid, all three angles within the tolerance; or (-1, -1)."""
-    _, brighter, dimmer, _, _, _ = pairs
+    """(spot, star) that makes the triangle a pyramid, all three angles within the tolerance; or (-1, -1).
+
+    The first such spot. The stars as far from the triangle's first one as any spot may be are taken from the
+    sky grid, once for all spots; the pair list would have to be searched for each.
+    """
+    unit_vectors, _, band_height_rad, band_first_cell, cell_start, cell_star = stars
     i, j, k = tried
-    star_i, star_j, star_k = stars
+    star_i, star_j, star_k = named
+    least = 1.0
     for spot in range(spots):
-        if spot in (i, j, k):
+        if spot != i:
+            _bounds_kernel(i, spot, b, tolerance_rad, lowest, highest, counts)
+            least = min(least, lowest[i, spot])
+    near, tested = stars_in_cone_kernel(
+        unit_vectors,
+        band_height_rad,
+        band_first_cell,
+        cell_start,
+        cell_star,
+        unit_vectors[star_i, 0],
+        unit_vectors[star_i, 1],
+        unit_vectors[star_i, 2],
+        math.acos(max(-1.0, least)),
+        found,
+    )
+    counts[CATALOGUE_ANGLES] += tested
+    fourth = spots
+    star_fourth = -1
+    for place in range(near):
+        star = found[place]
+        if star in (star_i, star_j, star_k):
             continue
-        _side_kernel(i, spot, b, tolerance_rad, pairs, first, end, lowest, highest, counts)
-        _side_kernel(j, spot, b, tolerance_rad, pairs, first, end, lowest, highest, counts)
-        _side_kernel(k, spot, b, tolerance_rad, pairs, first, end, lowest, highest, counts)
-        counts[PYRAMIDS_TESTED] += 1
-        # The shortest of the three lists is searched for the triangle's star; the other two angles are
-        # computed.
-        one, star_one = i, star_i
-        if end[j, spot] - first[j, spot] < end[one, spot] - first[one, spot]:
-            one, star_one = j, star_j
-        if end[k, spot] - first[k, spot] < end[one, spot] - first[one, spot]:
-            one, star_one = k, star_k
-        counts[PAIRS_COMPARED] += end[one, spot] - first[one, spot]
-        for place in range(first[one, spot], end[one, spot]):
-            if brighter[place] == star_one:
-                star = dimmer[place]
-            elif dimmer[place] == star_one:
-                star = brighter[place]
-            else:
+        cosine = (
+            unit_vectors[star, 0] * unit_vectors[star_i, 0]
+            + unit_vectors[star, 1] * unit_vectors[star_i, 1]
+            + unit_vectors[star, 2] * unit_vectors[star_i, 2]
+        )
+        counts[PAIRS_COMPARED] += fourth
+        for spot in range(fourth):
+            if cosine < lowest[i, spot] or cosine > highest[i, spot] or spot in (i, j, k):
                 continue
-            if star in (star_i, star_j, star_k):
-                continue
+            counts[PYRAMIDS_TESTED] += 1
             fits = True
-            for corner in range(3):
+            for corner in range(1, 3):
                 base = tried[corner]
-                other = stars[corner]
-                if base == one:
-                    continue
+                other = named[corner]
+                _bounds_kernel(base, spot, b, tolerance_rad, lowest, highest, counts)
                 counts[CATALOGUE_ANGLES] += 1
-                cosine = (
+                angle_cosine = (
                     unit_vectors[star, 0] * unit_vectors[other, 0]
                     + unit_vectors[star, 1] * unit_vectors[other, 1]
                     + unit_vectors[star, 2] * unit_vectors[other, 2]
                 )
-                if cosine < lowest[base, spot] or cosine > highest[base, spot]:
+                if angle_cosine < lowest[base, spot] or angle_cosine > highest[base, spot]:
                     fits = False
                     break
             if fits:
-                return spot, star
-    return -1, -1
+                fourth = spot
+                star_fourth = star
+                break
+    if star_fourth < 0:
+        return -1, -1
+    return fourth, star_fourth
 
 
 @numba.njit(cache=True, nogil=True)
@@ -244,8 +274,9 @@ def _pyramid_kernel(
     spread = spread_kernel(b, all_spots)
     first = np.full((spots, spots), -1, np.int32)
     end = np.full((spots, spots), -1, np.int32)
-    lowest = np.empty((spots, spots))
+    lowest = np.full((spots, spots), 2.0)  # not a cosine: not known yet
     highest = np.empty((spots, spots))
+    found = np.empty(len(unit_vectors), np.int32)
     # Mark table: chain[head[s] - base] .. lists the partners of star s among the pairs that fit one side.
     # What is numbered below base is of an earlier triad, so nothing needs to be cleared.
     head = np.full(len(unit_vectors), -1, np.int32)
@@ -352,12 +383,10 @@ def _pyramid_kernel(
                                     (star_apex, star_left, star_right),
                                     b,
                                     tolerance_rad,
-                                    unit_vectors,
-                                    pairs,
-                                    first,
-                                    end,
+                                    stars,
                                     lowest,
                                     highest,
+                                    found,
                                     counts,
                                 )
                                 if fourth < 0:
