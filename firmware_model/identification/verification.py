@@ -149,6 +149,8 @@ def match_spots_kernel(
         y = a[0, 1] * b[spot, 0] + a[1, 1] * b[spot, 1] + a[2, 1] * b[spot, 2]
         z = a[0, 2] * b[spot, 0] + a[1, 2] * b[spot, 1] + a[2, 2] * b[spot, 2]
         star = only_star[spot]
+        if radius_rad >= separation_rad and only_angle[spot] > searched_rad:
+            star = -1  # never the only one for certain
         if star >= 0:
             counts[CATALOGUE_ANGLES] += 1
             dx = unit_vectors[star, 0] - x
