@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -168,18 +169,31 @@ def usable_spikes(spikes: Spikes) -> tuple[Spikes, IntArray]:
     """The spikes that can be matched at all, C-contiguous, and their places: int32[m] in what was given.
 
     Left out, and so never matched: spikes with a NaN or an infinity in direction or magnitude, and with a
-    direction that is no unit vector (by more than 1e-6).
+    direction that is no unit vector (by more than 1e-6). ValueError: not as many magnitudes as directions.
     """
     b = np.ascontiguousarray(spikes.b_vectors, np.float64).reshape(-1, 3)
     magnitudes = np.ascontiguousarray(spikes.magnitudes, np.float64)
-    # NaN and infinity fail the comparison of the length as well.
-    with np.errstate(over="ignore", invalid="ignore"):
-        usable = np.abs(np.einsum("ij,ij->i", b, b) - 1.0) <= 2e-6
-    usable &= np.isfinite(magnitudes)
-    places = np.flatnonzero(usable).astype(np.int32)
-    if len(places) == len(b):
+    if len(magnitudes) != len(b):
+        raise ValueError(f"{len(b)} directions, but {len(magnitudes)} magnitudes")
+    places = np.empty(len(b), np.int32)
+    usable = _usable_kernel(b, magnitudes, places)
+    if usable == len(b):
         return Spikes(b, magnitudes), places
+    places = places[:usable]
     return Spikes(b[places], magnitudes[places]), places
+
+
+@numba.njit(cache=True, nogil=True)
+def _usable_kernel(b: FloatArray, magnitudes: FloatArray, places: IntArray) -> int:
+    """Write the places of the spikes that can be matched; returns how many there are."""
+    usable = 0
+    for spike in range(len(b)):
+        square = b[spike, 0] * b[spike, 0] + b[spike, 1] * b[spike, 1] + b[spike, 2] * b[spike, 2]
+        # NaN and infinity fail the comparison of the length as well.
+        if abs(square - 1.0) <= 2e-6 and math.isfinite(magnitudes[spike]):
+            places[usable] = spike
+            usable += 1
+    return usable
 
 
 def for_all_spikes(identification: Identification, places: IntArray, spots: int) -> Identification:

@@ -213,6 +213,8 @@ def test_spikes_that_cannot_be_matched_are_left_out() -> None:
     assert found.star_index.tolist() == [7, -1, -1, -1, -1, -1, 8]
     nothing, places = usable_spikes(Spikes(np.zeros((0, 3)), np.zeros(0)))
     assert len(nothing) == len(places) == 0
+    with pytest.raises(ValueError, match="7 directions, but 6 magnitudes"):
+        usable_spikes(Spikes(b, magnitude[:6]))
 
 
 def test_the_order_of_the_spikes_is_kept_with_some_left_out() -> None:
