@@ -21,6 +21,7 @@ from st_emulator.obc import Obc
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
 SECONDS = 60
+PATIENCE_S = 60.0  # only bounds a hang
 NODES = {1: (84.0, -1.5), 2: (210.0, 54.0), 3: (56.0, 24.0)}  # node: where its unit looks, deg
 UNIT = "roja1"
 CANDUMP_LINE = re.compile(r"\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#([0-9A-F]*)$")
@@ -75,16 +76,16 @@ def session(tmp_path_factory: pytest.TempPathFactory):
             )  # fmt: skip
         for node, unit in units.items():
             unit.await_running()
-            obcs[node].wait_for_event("BOOT_COMPLETED", timeout_s=60, since=0)
+            obcs[node].wait_for_event("BOOT_COMPLETED", timeout_s=PATIENCE_S, since=0)
         for obc in obcs.values():
-            obc.acquire()
+            obc.acquire(timeout_s=PATIENCE_S)
         begun = time.monotonic()
         while time.monotonic() - begun < SECONDS:
             for obc in obcs.values():
-                obc.ping()
+                obc.ping(timeout_s=PATIENCE_S)
                 obc.wait(0.3)
         for obc in obcs.values():
-            obc.shutdown()
+            obc.shutdown(timeout_s=PATIENCE_S)
         time.sleep(0.5)
         for unit in units.values():
             unit.stop(15)
