@@ -366,13 +366,15 @@ def test_tracking_without_any_attitude_is_lost_in_space(bench: Callable[..., Ben
     assert b.mode is Mode.LOST_IN_SPACE
 
 
-def test_a_field_of_three_stars_is_not_solved(bench: Callable[..., Bench]) -> None:
+def test_a_field_of_three_stars_is_identified_but_not_valid(bench: Callable[..., Bench]) -> None:
     b = bench(26)
     rows = SKY.view(b.q, border_px=12.0).row[:3]
     b.sky = replace(SKY, vectors=SKY.vectors[rows], magnitude=SKY.magnitude[rows])
     result = b.frame()
-    assert result.reasons == Reason.TOO_FEW_STARS
-    assert result.spots_detected == 3
+    assert result.reasons == Reason.UNCONFIRMED
+    assert not result.valid
+    assert result.spots_detected == result.stars_identified == 3
+    assert sorted(result.stars.hip) == sorted(rows + 1)
 
 
 def test_more_runs_than_the_table_holds(bench: Callable[..., Bench]) -> None:
