@@ -132,6 +132,16 @@ def behind_the_loop() -> None:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
+def held_up(emulator: Emulator, now_ns: int) -> bool:
+    """Whether the computer did not let the loop run when something was due.
+
+    What came meanwhile came nobody knows when. It counts before what was due: a timeout of the unit must not
+    pass while its answer waits in the link.
+    """
+    due_ns = emulator.next_event_ns()
+    return due_ns is not None and now_ns - due_ns > HELD_UP_NS
+
+
 def run_paced(
     emulator: Emulator,
     link: Link,
@@ -157,10 +167,7 @@ def run_paced(
     with quick_switching(), priority:
         while not stop.stopped:
             now_ns = virtual_now_ns()
-            due_ns = emulator.next_event_ns()
-            if due_ns is not None and now_ns - due_ns > HELD_UP_NS and (data := link.read()):
-                # It came while the loop was held up, nobody knows when: a timeout of the unit must not pass
-                # while its answer waits here.
+            if held_up(emulator, now_ns) and (data := link.read()):
                 emulator.receive(data)
             if until_ns is not None and now_ns >= until_ns:
                 emulator.advance(until_ns)
@@ -181,8 +188,10 @@ def run_paced(
             if descriptor is None or descriptor in ready:
                 data = link.read()
                 if data:
-                    # Everything due before the bytes came is done before they count.
-                    emulator.advance(virtual_now_ns())
+                    now_ns = virtual_now_ns()
+                    if not held_up(emulator, now_ns):
+                        # Everything due before the bytes came is done before they count.
+                        emulator.advance(now_ns)
                     emulator.receive(data)
 
 
