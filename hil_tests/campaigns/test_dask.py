@@ -19,8 +19,15 @@ SQUARES = [index * index for index in range(30)]
 
 
 def cluster(**more) -> LocalCluster:
+    """Two workers; all that it listens on is on loopback."""
     return LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", protocol="tcp", dashboard_address=None, **more
+        n_workers=2,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        protocol="tcp",
+        dashboard_address="127.0.0.1:0",
+        worker_dashboard_address="127.0.0.1:0",
+        **more,
     )
 
 

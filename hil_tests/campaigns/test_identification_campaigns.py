@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from st_emulator.campaigns import false_stars, zy3_table3
+from st_emulator.campaigns.campaign import CampaignRequest
 from st_emulator.campaigns.star_identification import BAD, FAILURE, SUCCESS, Attempt, verdict_of
 from st_emulator.campaigns.star_scenes import MagnitudeNoise, SceneSettings, make_scene, stars_in_field
 from st_emulator.campaigns.zy3_table3 import PAPER, SCENARIOS, STRATA, Case
 from st_emulator.firmware_model.identification.algorithms import ALGORITHMS
 from st_emulator.firmware_model.identification.interface import Identification
 from st_emulator.firmware_model.reasons import Reason
+from st_emulator.profile import load_unit
 from st_emulator.world import quaternion
 
 RESOLUTION = 214.5
@@ -177,3 +179,28 @@ def test_fields():
     for field in (wide, narrow):
         angles = np.arccos(field.tables().pairs.cos_angle)
         assert np.degrees(angles.max()) == pytest.approx(field.field_deg * np.sqrt(2), rel=0.02)
+
+
+def test_table_3_with_few_cases(workers):
+    request = CampaignRequest(load_unit("zy3"), 60, 5, workers(1))
+    result = zy3_table3.run(request)
+    rows = {
+        (row["algorithm"], row["scenario"], row["magnitude_noise"]): row for row in result.figures["rows"]
+    }
+    assert len(rows) == len(ALGORITHMS) * 3 * 2
+    for (name, scenario, _), row in rows.items():
+        shares = [row[verdict]["value"] for verdict in (SUCCESS, FAILURE, BAD)]
+        assert sum(shares) == pytest.approx(1.0)
+        assert row["bad_cases"] == 0, (name, scenario)
+        if name in ("brightness_referenced", "geometric_voting"):
+            assert row["success"]["high"] > zy3_table3.paper_success(name, 0).low
+    assert result.figures["operations_ratio_geometric_voting"] >= 35
+    assert {check.name for check in result.checks} >= {"bad: brightness", "pyramid, 1 of >= 5, flight"}
+    assert [table.title for table in result.tables] == [item.name for item in SCENARIOS]
+
+
+def test_few_attitudes_among_false_stars(workers):
+    result = false_stars.run(CampaignRequest(load_unit("zy3"), 8, 5, workers(1)))
+    assert [check.name for check in result.checks if not check.holds] == []
+    assert sum(row["wrong"] for row in result.figures["rows"]) == 0
+    assert len(result.figures["rows"]) == len(ALGORITHMS) * 2 * 4

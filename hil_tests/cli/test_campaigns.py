@@ -21,9 +21,11 @@ KEYS = {
     "centroids": {"centroid_rms_px", "stars", "by_magnitude"},
     "detection": {"share_detected_at_limit", "false_clusters_per_frame", "by_magnitude"},
     "earth-rate": {"rate_error_deg_s", "rate_deg_s", "right_ascension_drift_deg_s"},
+    "false-stars": {"best", "rows", "timing"},
     "lost-in-space": {"eligible", "right", "wrong", "unsolved", "coverage"},
     "star-quadruples": {"identified", "quadruples"},
     "tracking-rate": {"held_at_rate", "lost_over_rate", "back_in_time", "by_direction"},
+    "zy3-table3": {"rows", "operations_ratio_pyramid", "operations_ratio_geometric_voting", "timing"},
     "zy3-centroids": {"tracks", "com_better_than_two_pixels_near_2.9_mag", "paper", "by_magnitude"},
 }
 SMALL = {
@@ -31,9 +33,11 @@ SMALL = {
     "centroids": 4,
     "detection": 4,
     "earth-rate": 6,
+    "false-stars": 2,
     "lost-in-space": 6,
     "tracking-rate": 2,
     "zy3-centroids": 2,
+    "zy3-table3": 5,
 }
 
 

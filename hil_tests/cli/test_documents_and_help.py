@@ -95,7 +95,10 @@ TEACHES = {
         "the computer's date (UTC)",
     ),
     ("demo",): ("--unit", "--seconds", "--json", "--out", "--seed", "real time"),
-    ("campaign",): ("earth-rate", "lost-in-space", "accuracy", "--n", "--workers", "--json", "--unit"),
+    ("campaign",): (
+        *("earth-rate", "lost-in-space", "accuracy", "zy3-table3", "false-stars"),
+        *("--n", "--workers", "--json", "--unit", "--dask", "--results", "--restart", "--plot"),
+    ),
     ("solve",): ("PNG, TIFF or FITS", "--unit", "--json", "--picture"),
     ("replay",): ("--journal", "--write", "--json", "byte by byte"),
     ("units",): ("--json",),

@@ -234,6 +234,28 @@ def test_unknown_campaign(refused):
 
 
 @pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("zy3-table3", "--unit", "roja1"), ("--unit roja1", "zy3 alone")),
+        (("accuracy", "--plot", "out.png"), ("--plot", "accuracy", "zy3-table3")),
+        (("zy3-table3", "--plot", "out.xyz"), ("--plot", "out.xyz", ".png")),
+        (("zy3-table3", "--plot", "none/out.png"), ("--plot", "none/out.png")),
+        (("zy3-table3", "--results", "none/out.jsonl"), ("--results", "none/out.jsonl")),
+        (("zy3-table3", "--results", "."), ("--results", "folder")),
+        (("zy3-table3", "--results", "x.jsonl", "--restart"), ("--restart", "--results")),
+        (("zy3-table3", "--workers", "2", "--dask", "tcp://127.0.0.1:1"), ("--workers", "--dask")),
+        (("earth-rate", "--dask", "tcp://127.0.0.1:1"), ("--dask", "earth-rate")),
+        (("star-quadruples", "--results", "x.jsonl"), ("--results", "star-quadruples")),
+        (("false-stars", "--n", "1", "--dask", "nonsense://x"), ("--dask nonsense://x",)),
+    ],
+)
+def test_options_that_a_campaign_has_no_use_for(arguments, says, refused, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused("campaign", *arguments, says=says)
+    assert not list(tmp_path.glob("*.jsonl"))
+
+
+@pytest.mark.parametrize(
     "arguments",
     [
         ("run",),
