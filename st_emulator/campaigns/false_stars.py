@@ -176,19 +176,19 @@ def best_algorithm(cells: dict[tuple[str, int, int], Cell]) -> str:
 
 
 def _tables(cells: dict[tuple[str, int, int], Cell]) -> list[TextTable]:
-    columns = ("false stars", "algorithm", "right", "95 %", "wrong", "operations", "ms", "worst")
+    columns = ("false", "algorithm", "right", "95 %", "wrong", "steps", "ms", "worst")
     tables = []
     for place, field in enumerate(FIELDS):
         rows: list[tuple[str, ...]] = []
         for false, target in zip(FALSE_STARS, field.targets, strict=True):
-            rows.append((str(false), "target", f"{target} of {ATTITUDES}", "", "0", "", "", ""))
+            rows.append((str(false), "target", f"{target}/{ATTITUDES}", "", "0", "", "", ""))
             for name in ALGORITHMS:
                 cell = cells[name, place, false]
                 rows.append(
                     (
                         "",
                         LABELS.get(name, name),
-                        f"{cell.right} of {cell.cases}",
+                        f"{cell.right}/{cell.cases}",
                         share(cell.right, cell.cases).interval(1),
                         str(cell.wrong),
                         f"{cell.operations:.0f}",
