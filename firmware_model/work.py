@@ -50,7 +50,7 @@ _DEFINITIONS: Final = (
     ("centroid_stars", "centroid", "centre of mass computed once (its divisions), each pass counts"),
     ("centroid_pixels", "centroid", "pixel weighted into a centre of mass, each pass counts"),
     ("centroid_background_pixels", "centroid", "pixel of the ring round a spot for its local background"),
-    ("centroid_interpolations", "centroid", "offset on one axis from the ratio of two columns or rows, Z (6)"),
+    ("centroid_interpolations", "centroid", "offset on an axis from the ratio of two columns or rows, Z (6)"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
     ("unit_vectors", "centroid", "pixel position turned to a unit vector (pinhole)"),
     ("distortions_removed", "centroid", "pixel position freed from distortion (distorted lens only)"),
