@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from hil_tests.vectors.reference_can import classic_bits
+from hil_tests.vectors.reference_can import classic_bits, record
 from st_emulator.scenario import parse_scenario
 from st_emulator.wire.can_wiring import CanWiring
 
@@ -305,6 +305,26 @@ def test_one_that_cannot_leave_is_replaced_and_counted() -> None:
     structure = bench.can()
     assert structure["cyclic_overruns"] == 24
     assert structure["tx_refused"] == bench.refused > 900, "it was offered again each millisecond"
+
+
+def test_one_on_the_wire_is_not_replaced() -> None:
+    bench = beating().boot()
+    bench.run_to(1119)
+    due_ms = 1120 + BEAT_MS  # of the heartbeat behind the one that comes up in a moment
+    urgent = record(0x001, b"")
+    for _ in range(int((due_ms - bench.now_ms - 0.02) * 1000) // classic_bits(0x001, b"")):
+        bench.put(urgent)
+    bench.forget()
+    while not bench.frames("heartbeat"):
+        bench.run(0.01)
+    assert due_ms < bench.now_ms < due_ms + 0.15, "it was on the wire when the next one came"
+    bench.refusing = True
+    bench.run_to(due_ms + BEAT_MS + 10)
+    bench.refusing = False
+    bench.run(5)
+    counters = [values["counter"] for _, values in bench.frames("heartbeat")]
+    assert counters == [counters[0], counters[0] + 2], "the one behind it was"
+    assert bench.can()["cyclic_overruns"] == 1
 
 
 def test_halves_of_a_quaternion_are_replaced_each_for_itself() -> None:

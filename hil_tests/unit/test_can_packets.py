@@ -8,6 +8,7 @@ from hil_tests.vectors import reference_can as can
 from hil_tests.vectors import reference_decoder as wire
 from hil_tests.vectors.reference_can import Peer, classic_bits
 from st_emulator.emulator import Emulator
+from st_emulator.listening import TelemetryListener
 from st_emulator.profile import load_unit
 from st_emulator.wire.can_wiring import CanWiring
 
@@ -168,6 +169,27 @@ def test_the_obcs_block_size_is_kept(block_size: int) -> None:
     dump(bench, 1024)
     bench.run(800)
     assert len(consecutive(bench)) == min(block_size, frames)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_a_listener_hears_what_the_obc_receives(fd: bool) -> None:
+    """Also through pauses for which the OBC asks, longer than a receiver would wait by itself."""
+    bench = make_can(can=CanWiring(fd=fd))
+    listener = TelemetryListener(can=bench.emulator.unit.port.settings.identifiers, fd=fd)
+    bench.run(500)
+    bench.peer.stmin = 30
+    bench.peer.answers.append(b"\x31\0\0")
+    bench.send("memory_dump", {"memory_id": 1, "start_address": 0, "length": 600})
+    for _ in range(3):
+        bench.run(900)
+        bench.peer.put(b"\x31\0\0")
+    bench.peer.put(b"\x30\0\x1e")
+    bench.run(6000)
+    for t_ns, data in bench.groups:
+        listener.transmitted(data, t_ns)
+    assert len(bench.of("memory_dump_report")) == 1
+    assert listener.malformed == 0
+    assert [(t_ns, packet.raw) for t_ns, packet in listener.packets] == bench.peer.packets
 
 
 def test_packets_cross() -> None:
