@@ -245,4 +245,5 @@ def draw(cells: dict[tuple[str, int, int], Cell], figure: Any) -> None:
         below.set_xlabel("false stars")
         for axes in (above, below):
             axes.grid(axis="y", alpha=0.4)
-    all_axes[0][0].legend(fontsize=7, loc="lower left")
+    handles, labels = all_axes[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, ncols=len(labels), loc="outside lower center")
