@@ -201,8 +201,9 @@ def campaign(
     name: Annotated[
         str,
         typer.Argument(
-            help="`earth-rate`, `lost-in-space`, `accuracy`, `centroids`, `detection`, `tracking-rate`, "
-            "`star-quadruples`, `zy3-table3` or `false-stars`."
+            help="`accuracy`, `lost-in-space`, `tracking-rate`, `earth-rate`, `centroids`, `detection`, "
+            "`star-quadruples`, or beside a paper's table: `zy3-table3`, `zy3-centroids`, `catalogue-counts`, "
+            "`false-stars`.",
         ),
     ],
     unit: Annotated[
