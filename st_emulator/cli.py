@@ -202,8 +202,8 @@ def campaign(
         str,
         typer.Argument(
             help="`accuracy`, `lost-in-space`, `tracking-rate`, `earth-rate`, `centroids`, `detection`, "
-            "`star-quadruples`, or beside a paper's table: `zy3-table3`, `zy3-centroids`, `catalogue-counts`, "
-            "`false-stars`.",
+            "`star-quadruples`, or beside a paper's table: `zy3-table3`, `zy3-centroids`, "
+            "`catalogue-counts`, `false-stars`.",
         ),
     ],
     unit: Annotated[
