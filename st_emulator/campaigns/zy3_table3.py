@@ -31,7 +31,6 @@ from .star_scenes import (
     make_scene,
     random_attitude,
     scene_tables,
-    square_field_normals,
 )
 from .table3_plot import draw_table3
 
@@ -156,10 +155,9 @@ def look(seed: int, resolution_arcsec: float, case: Case) -> tuple[Attempt, ...]
     q = orientation(seed, case.stratum, case.number, resolution_arcsec)
     # the same noise and false star for every scenario that has the orientation
     scene = make_scene(tables.catalogue, settings, seed, case.stratum * 10**9 + case.number, q)
+    # Without the four planes of a field: this one is a circle.
     parameters = IdentificationParameters(
-        tolerance_rad=pair_tolerance_rad(NOISE_ARCSEC),
-        max_spots=MOST_SPIKES,
-        field_normals=square_field_normals(FIELD_DEG / math.sqrt(2.0)),  # the square in the circle
+        tolerance_rad=pair_tolerance_rad(NOISE_ARCSEC), max_spots=MOST_SPIKES
     )
     return attempts(scene, tables, parameters)
 
