@@ -144,7 +144,8 @@ class DaskCluster:
         self.deaths: tuple[type[BaseException], ...] = (distributed.KilledWorker,)
         try:
             self._client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
+        except (OSError, ValueError, TypeError, RuntimeError, ImportError, AssertionError) as error:
+            # AssertionError: on a computer that is too busy the client's own loop did not start in its time.
             raise ConfigurationError(f"{self.name}: no scheduler there: {error}") from error
         threads = sum(self._client.nthreads().values())
         self.ahead = AHEAD * max(1, threads)
