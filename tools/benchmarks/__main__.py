@@ -106,6 +106,9 @@ class Bench:
                 best = max(item["right"] / item["scenes"] for item in ours)
                 wrong = sum(item["wrong"] for item in ours)
                 checks.append(check(f"pyramid_ms_{case}", median, "<=", target, "ms"))
+                right = figures["identification"]["cases"][case]["pyramid"]
+                share = right["right"] / right["scenes"]  # a quick refusal is no solution
+                checks.append(check(f"pyramid_right_{case}", share, ">=", RIGHT_TARGET, ""))
                 checks.append(check(f"best_right_{case}", best, ">=", RIGHT_TARGET, ""))
                 checks.append(check(f"wrong_attitudes_{case}", wrong, "==", 0, "scenes"))
         if "cold" in parts:

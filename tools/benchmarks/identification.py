@@ -34,6 +34,7 @@ from st_emulator.world.quaternion import attitude_matrix
 
 LIMIT_MAG = 5.5
 FIELD_DEG = 20.0
+MAX_SPOTS = 100  # of 50 false stars most are among the brightest 20 that a unit looks at
 SIZE_PX = 1024
 NOISE_ARCSEC = 5.0
 TOLERANCE_ARCSEC = 25.0  # the same for all: 5 sigma of a centroid
@@ -58,7 +59,7 @@ class Ours:
         self._tables = tables
         self._camera = camera
         self._parameters = IdentificationParameters(
-            TOLERANCE_ARCSEC * ARCSEC, field_normals=camera.field_normals(-2.0)
+            TOLERANCE_ARCSEC * ARCSEC, max_spots=MAX_SPOTS, field_normals=camera.field_normals(-2.0)
         )
         self.operations: list[int] = []
 
