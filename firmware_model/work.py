@@ -27,14 +27,19 @@ STAGES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class CountDefinition:
-    """One kind of work: its stage and what one of it is."""
+    """One kind of work: its stage and what one of it is.
+
+    step: an elementary step of its stage's algorithm, as papers count them; False where the count is there
+        for its cycles alone.
+    """
 
     name: str
     stage: str
     meaning: str
+    step: bool = True
 
 
-_DEFINITIONS: Final = (
+_DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...]] = (
     # threshold
     ("noise_samples", "threshold", "pixel pair whose difference goes into the noise estimate, all passes"),
     ("background_pixels", "threshold", "pixel added to the moving average of the background"),
@@ -93,7 +98,7 @@ _DEFINITIONS: Final = (
     ("frames", "telemetry", "frame handled at all: interrupts, mode logic, housekeeping"),
 )
 
-COUNTS: Final[Mapping[str, CountDefinition]] = {n: CountDefinition(n, s, m) for n, s, m in _DEFINITIONS}
+COUNTS: Final[Mapping[str, CountDefinition]] = {d[0]: CountDefinition(*d) for d in _DEFINITIONS}
 
 
 class Work:
@@ -149,8 +154,8 @@ class Work:
         return {stage: counts for stage, counts in grouped.items() if counts}
 
     def operations(self, stage: str = "identification") -> int:
-        """Sum of all counts of a stage: its elementary steps, whatever each may cost."""
-        return sum(number for name, number in self.counts.items() if COUNTS[name].stage == stage)
+        """Sum of all counts of a stage that are elementary steps, whatever each may cost."""
+        return sum(n for name, n in self.counts.items() if COUNTS[name].stage == stage and COUNTS[name].step)
 
     def __repr__(self) -> str:
         return f"Work({self.counts!r})"
