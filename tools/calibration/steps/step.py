@@ -1,8 +1,8 @@
 """What the calibration asks of the module of a family of kernels in this folder.
 
-A module here has ``STEPS``, a tuple of ``Step``: one for each step of a frame that its kernels stand for. Steps
-that no frame's trace has (telemetry) are fed by a function of the module, ``own_records(seed, n)``, which gives
-``n`` records of varied inputs, the same for the same seed.
+A module here has ``STEPS``, a tuple of ``Step``: one for each step of a frame that its kernels stand for.
+Steps that no frame's trace has (telemetry) are fed by a function of the module, ``own_records(seed, n)``,
+which gives ``n`` records of varied inputs, the same for the same seed.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from st_emulator.firmware_model.frame_trace import StepRecord
-    from st_emulator.firmware_model.work import Work
+    from tools.arm_timing.machine import ArmMachine, Cost
 
-    from ...arm_timing.machine import ArmMachine, Cost
+    from st_emulator.firmware_model.work import Work
 
 __all__ = ["MismatchError", "OwnRecords", "StageRun", "Step"]
 
