@@ -36,8 +36,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..catalogue.kvector import range_kernel
-from ..catalogue.pairs import PairCatalogue
-from ..catalogue.tables import StarTables
+from ..catalogue.tables import PairArrays, StarArrays, StarTables, pair_arrays, star_arrays
 from ..reasons import Reason
 from ..work import Work
 from .interface import (
@@ -57,9 +56,9 @@ from .solutions import (
     NOTHING,
     Limits,
     Solutions,
-    Stars,
     best_identification,
     judge_kernel,
+    limits_of,
     no_solutions,
     volume_kernel,
 )
@@ -74,15 +73,12 @@ from .verification import (
     TRIANGLES_TESTED,
     CountArray,
     exhausted_kernel,
-    separation_kernel,
     spread_kernel,
     work_of,
 )
 
 _GROUP = 3  # partners of a pivot that are tried together
-_NO_FIELD = np.zeros((0, 3))
 
-_Pairs = tuple[FloatArray, IntArray, IntArray, float, float, IntArray]
 _Marks = tuple[IntArray, IntArray, IntArray, IntArray, IntArray]
 _Windows = tuple[FloatArray, FloatArray]
 
@@ -106,36 +102,15 @@ def identify(
     if spots < 3:
         return no_identification(len(spikes), Reason.TOO_FEW_STARS), Work()
     limit_mag = float(parameters.brightness.bright_limit_mag)
-    stars, cells = catalogue.catalogue, catalogue.catalogue.cells
     solutions = no_solutions(spots)
     counts = np.zeros(len(COUNT_NAMES), np.int64)
     outcome = _search_kernel(
         usable.b_vectors,
         usable.magnitudes,
-        (
-            stars.unit_vectors,
-            stars.hp_mag,
-            cells.band_height_rad,
-            cells.band_first_cell,
-            cells.cell_start,
-            cells.cell_star,
-        ),
-        _arrays(catalogue.pairs),
-        _arrays(catalogue.reference_pairs(limit_mag)),
-        (
-            float(parameters.tolerance_rad),
-            int(parameters.min_stars),
-            _NO_FIELD
-            if parameters.field_normals is None
-            else np.ascontiguousarray(parameters.field_normals, np.float64),
-            float(parameters.least_seen_share),
-            float(parameters.magnitude_tolerance),
-            float(parameters.most_false_solutions),
-            float(parameters.most_false_triangles),
-            float(parameters.certain_false_solutions),
-            parameters.work_limit,
-            float(separation_kernel(catalogue.pairs.cos_angle)),
-        ),
+        star_arrays(catalogue.catalogue),
+        pair_arrays(catalogue.pairs),
+        pair_arrays(catalogue.reference_pairs(limit_mag)),
+        limits_of(parameters, catalogue.pairs),
         int(parameters.max_spots),
         float(parameters.brightness.distinct_mag),
         limit_mag,
@@ -144,18 +119,6 @@ def identify(
     )
     found = best_identification(outcome, spots, solutions)
     return for_all_spikes(found, places, len(spikes)), work_of(counts)
-
-
-def _arrays(pairs: PairCatalogue) -> _Pairs:
-    kvector = pairs.kvector
-    return (
-        pairs.cos_angle,
-        pairs.brighter,
-        pairs.dimmer,
-        kvector.slope,
-        kvector.offset,
-        kvector.count_below,
-    )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -180,7 +143,7 @@ def _mark_kernel(
     place: int,
     ends: int,
     spot: int,
-    pairs: _Pairs,
+    pairs: PairArrays,
     hp_mag: npt.NDArray[np.float32],
     pivot_limit_mag: float,
     serial: int,
@@ -220,8 +183,8 @@ def _meet_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
     spread: float,
-    stars: Stars,
-    pairs: _Pairs,
+    stars: StarArrays,
+    pairs: PairArrays,
     limits: Limits,
     serial: int,
     marks: _Marks,
@@ -317,9 +280,9 @@ def _group_kernel(
 def _search_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
-    stars: Stars,
-    all_pairs: _Pairs,
-    reference_pairs: _Pairs,
+    stars: StarArrays,
+    all_pairs: PairArrays,
+    reference_pairs: PairArrays,
     limits: Limits,
     max_spots: int,
     distinct_mag: float,

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..catalogue.kvector import range_kernel
-from ..catalogue.tables import StarTables
+from ..catalogue.tables import PairArrays, StarArrays, StarTables, pair_arrays, star_arrays
 from ..reasons import Reason
 from ..work import Work
 from .interface import (
@@ -61,7 +61,6 @@ MOST_IDENTITIES_IN_ALL = 768
 
 _SOLVED, _UNCONFIRMED, _NO_MATCH, _AMBIGUOUS, _WORK_LIMIT = range(5)
 _REASONS = (Reason.NONE, Reason.UNCONFIRMED, Reason.NO_MATCH, Reason.AMBIGUOUS, Reason.WORK_LIMIT)
-_NO_FIELD = np.zeros((0, 3))
 
 
 def identify(
@@ -75,31 +74,15 @@ def identify(
     star_index = np.full(spots, -1, np.int32)
     q = np.zeros(4)
     counts = np.zeros(len(COUNT_NAMES), np.int64)
-    stars, pair_catalogue = catalogue.catalogue, catalogue.pairs
-    cells, kvector = stars.cells, pair_catalogue.kvector
     outcome, matched, expected, seen, chance = _voting_kernel(
         usable.b_vectors,
         usable.magnitudes,
-        (
-            stars.unit_vectors,
-            stars.hp_mag,
-            cells.band_height_rad,
-            cells.band_first_cell,
-            cells.cell_start,
-            cells.cell_star,
-        ),
-        (
-            pair_catalogue.cos_angle,
-            pair_catalogue.brighter,
-            pair_catalogue.dimmer,
-            kvector.slope,
-            kvector.offset,
-            kvector.count_below,
-        ),
+        star_arrays(catalogue.catalogue),
+        pair_arrays(catalogue.pairs),
         parameters.tolerance_rad,
         parameters.max_spots,
         parameters.min_stars,
-        _NO_FIELD if parameters.field_normals is None else np.ascontiguousarray(parameters.field_normals),
+        parameters.normals,
         parameters.least_seen_share,
         parameters.magnitude_tolerance,
         parameters.most_false_solutions,
@@ -124,7 +107,7 @@ def cast_votes_kernel(
     voted: int,
     spots: int,
     tolerance_rad: float,
-    pairs: tuple[FloatArray, IntArray, IntArray, float, float, IntArray],
+    pairs: PairArrays,
     work_limit: FloatArray,
     lowest: FloatArray,
     highest: FloatArray,
@@ -335,8 +318,8 @@ def _same_solution(
 def _voting_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
-    stars: tuple[FloatArray, npt.NDArray[np.float32], float, IntArray, IntArray, IntArray],
-    pairs: tuple[FloatArray, IntArray, IntArray, float, float, IntArray],
+    stars: StarArrays,
+    pairs: PairArrays,
     tolerance_rad: float,
     max_spots: int,
     min_stars: int,

@@ -114,6 +114,13 @@ class IdentificationParameters:
             raise ValueError(f"max_operations {self.max_operations} is negative")
 
     @property
+    def normals(self) -> FloatArray:
+        """For kernels: field_normals, float64[4, 3], or float64[0, 3] where the field is not given."""
+        if self.field_normals is None:
+            return np.zeros((0, 3))
+        return np.ascontiguousarray(self.field_normals, np.float64)
+
+    @property
     def work_limit(self) -> FloatArray:
         """For `verification.exhausted_kernel`: max_operations, max_cycles, cycles of one of each count."""
         cycles = () if self.count_cycles is None else self.count_cycles

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..catalogue.kvector import range_kernel
-from ..catalogue.tables import StarTables
+from ..catalogue.tables import PairArrays, StarArrays, StarTables, pair_arrays, star_arrays
 from ..reasons import Reason
 from ..work import Work
 from .interface import (
@@ -51,11 +51,8 @@ from .verification import (
 
 _SOLVED, _UNCONFIRMED, _NO_MATCH, _AMBIGUOUS, _WORK_LIMIT = range(5)
 _REASONS = (Reason.NONE, Reason.UNCONFIRMED, Reason.NO_MATCH, Reason.AMBIGUOUS, Reason.WORK_LIMIT)
-_NO_FIELD = np.zeros((0, 3))
 _FEWEST = 3  # two neighbours beside the pole: of two spikes both would get one vote
 
-_StarArrays = tuple[FloatArray, npt.NDArray[np.float32], float, IntArray, IntArray, IntArray]
-_PairArrays = tuple[FloatArray, IntArray, IntArray, float, float, IntArray]
 _Limits = tuple[float, int, float, float, float, float, float, float, int]
 
 
@@ -76,28 +73,12 @@ def identify(
     star_index = np.full(spots, -1, np.int32)
     q = np.zeros(4)
     counts = np.zeros(len(COUNT_NAMES), np.int64)
-    stars, pair_catalogue = catalogue.catalogue, catalogue.pairs
-    cells, kvector = stars.cells, pair_catalogue.kvector
     outcome, matched, expected, seen, chance = _multi_poles_kernel(
         usable.b_vectors[ascending],
         usable.magnitudes[ascending],
-        (
-            stars.unit_vectors,
-            stars.hp_mag,
-            cells.band_height_rad,
-            cells.band_first_cell,
-            cells.cell_start,
-            cells.cell_star,
-        ),
-        (
-            pair_catalogue.cos_angle,
-            pair_catalogue.brighter,
-            pair_catalogue.dimmer,
-            kvector.slope,
-            kvector.offset,
-            kvector.count_below,
-        ),
-        _NO_FIELD if parameters.field_normals is None else np.ascontiguousarray(parameters.field_normals),
+        star_arrays(catalogue.catalogue),
+        pair_arrays(catalogue.pairs),
+        parameters.normals,
         (
             float(parameters.tolerance_rad),
             int(parameters.min_stars),
@@ -148,7 +129,7 @@ def acceptance_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
     hp_mag: npt.NDArray[np.float32],
-    pairs: _PairArrays,
+    pairs: PairArrays,
     tolerance_rad: float,
     tolerance_mag: float,
     base: int,
@@ -287,8 +268,8 @@ def _same_attitude(one: FloatArray, other: FloatArray, spread_rad: float, tolera
 def _multi_poles_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
-    stars: _StarArrays,
-    pairs: _PairArrays,
+    stars: StarArrays,
+    pairs: PairArrays,
     normals: FloatArray,
     limits: _Limits,
     work_limit: FloatArray,

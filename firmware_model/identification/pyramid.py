@@ -19,7 +19,7 @@ import numpy as np
 
 from ..catalogue.kvector import range_kernel
 from ..catalogue.sky_cells import stars_in_cone_kernel
-from ..catalogue.tables import StarTables
+from ..catalogue.tables import PairArrays, StarArrays, StarTables, pair_arrays, star_arrays
 from ..reasons import Reason
 from ..work import Work
 from .interface import (
@@ -41,9 +41,9 @@ from .solutions import (
     TRIANGLE,
     Limits,
     Solutions,
-    Stars,
     best_identification,
     judge_kernel,
+    limits_of,
     no_solutions,
     volume_kernel,
 )
@@ -60,16 +60,12 @@ from .verification import (
     TRIANGLES_TESTED,
     CountArray,
     exhausted_kernel,
-    separation_kernel,
     spread_kernel,
     work_of,
 )
 
-_NO_FIELD = np.zeros((0, 3))
 _FEWEST = 3
 _MOST_ENTRIES = 1 << 30  # entries of the mark table are numbered on and on; here the numbers start again
-
-_Pairs = tuple[FloatArray, IntArray, IntArray, float, float, IntArray]
 
 
 def identify(
@@ -82,39 +78,12 @@ def identify(
         return no_identification(len(spikes), Reason.TOO_FEW_STARS), Work()
     solutions = no_solutions(spots)
     counts = np.zeros(len(COUNT_NAMES), np.int64)
-    stars, pair_catalogue = catalogue.catalogue, catalogue.pairs
-    cells, kvector = stars.cells, pair_catalogue.kvector
     outcome = _pyramid_kernel(
         usable.b_vectors,
         usable.magnitudes,
-        (
-            stars.unit_vectors,
-            stars.hp_mag,
-            cells.band_height_rad,
-            cells.band_first_cell,
-            cells.cell_start,
-            cells.cell_star,
-        ),
-        (
-            pair_catalogue.cos_angle,
-            pair_catalogue.brighter,
-            pair_catalogue.dimmer,
-            kvector.slope,
-            kvector.offset,
-            kvector.count_below,
-        ),
-        (
-            float(parameters.tolerance_rad),
-            int(parameters.min_stars),
-            _NO_FIELD if parameters.field_normals is None else np.ascontiguousarray(parameters.field_normals),
-            float(parameters.least_seen_share),
-            float(parameters.magnitude_tolerance),
-            float(parameters.most_false_solutions),
-            float(parameters.most_false_triangles),
-            float(parameters.certain_false_solutions),
-            parameters.work_limit,
-            float(separation_kernel(pair_catalogue.cos_angle)),
-        ),
+        star_arrays(catalogue.catalogue),
+        pair_arrays(catalogue.pairs),
+        limits_of(parameters, catalogue.pairs),
         (int(parameters.max_spots), int(parameters.max_triads), int(parameters.max_pairs_compared)),
         solutions,
         counts,
@@ -151,7 +120,7 @@ def _side_kernel(
     j: int,
     b: FloatArray,
     tolerance_rad: float,
-    pairs: _Pairs,
+    pairs: PairArrays,
     first: IntArray,
     end: IntArray,
     lowest: FloatArray,
@@ -177,7 +146,7 @@ def _fourth_kernel(
     named: tuple[int, int, int],
     b: FloatArray,
     tolerance_rad: float,
-    stars: Stars,
+    stars: StarArrays,
     lowest: FloatArray,
     highest: FloatArray,
     found: IntArray,
@@ -252,8 +221,8 @@ def _fourth_kernel(
 def _pyramid_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
-    stars: Stars,
-    pairs: _Pairs,
+    stars: StarArrays,
+    pairs: PairArrays,
     limits: Limits,
     most: tuple[int, int, int],
     solutions: Solutions,

@@ -13,21 +13,43 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from ..catalogue.pairs import PairCatalogue
+from ..catalogue.tables import StarArrays
 from ..reasons import Reason
-from .interface import FloatArray, Identification, IntArray, no_identification
-from .verification import CountArray, false_solutions_kernel, refine_kernel, verify_kernel
+from .interface import FloatArray, Identification, IdentificationParameters, IntArray, no_identification
+from .verification import (
+    CountArray,
+    false_solutions_kernel,
+    refine_kernel,
+    separation_kernel,
+    verify_kernel,
+)
 
 NOTHING, CERTAIN, RIVAL, LIMIT = range(4)  # how a search ends, or that it goes on
 CONFIRMED, TRIANGLE = range(2)  # places of the two solutions
 MATCHED, EXPECTED, SEEN, RIVALS = range(4)  # places in their numbers
 MOST_TRIANGLE_SPOTS = 4  # images of more spikes need a confirmed solution
 
-# unit vectors, magnitudes and the sky grid
-Stars = tuple[FloatArray, npt.NDArray[np.float32], float, IntArray, IntArray, IntArray]
 # IdentificationParameters from tolerance_rad to work_limit, then `separation_kernel`'s angle
 Limits = tuple[float, int, FloatArray, float, float, float, float, float, FloatArray, float]
 # star_index[2, n], q[2, 4], numbers[2, 4], chance[2]
 Solutions = tuple[IntArray, FloatArray, npt.NDArray[np.int64], FloatArray]
+
+
+def limits_of(parameters: IdentificationParameters, pairs: PairCatalogue) -> Limits:
+    """The limits of a search in these pairs."""
+    return (
+        float(parameters.tolerance_rad),
+        int(parameters.min_stars),
+        parameters.normals,
+        float(parameters.least_seen_share),
+        float(parameters.magnitude_tolerance),
+        float(parameters.most_false_solutions),
+        float(parameters.most_false_triangles),
+        float(parameters.certain_false_solutions),
+        parameters.work_limit,
+        float(separation_kernel(pairs.cos_angle)),
+    )
 
 
 def no_solutions(spots: int) -> Solutions:
@@ -94,7 +116,7 @@ def judge_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
     spread: float,
-    stars: Stars,
+    stars: StarArrays,
     limits: Limits,
     trial_index: IntArray,
     trial_q: FloatArray,
