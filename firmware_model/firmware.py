@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from .aberration import SPEED_OF_LIGHT_KM_S, apparent_kernel, earth_velocity_km_s
-from .attitude import AttitudeSolution, angular_rate, robust_q_method
+from .aberration import apparent_kernel
+from .attitude import angular_rate
 from .configuration import FirmwareConfiguration, StarTables
-from .frame_result import NO_RECTS, FirmwareState, FrameContext, FrameResult, IdentifiedStars
-from .identification.interface import Identification, Spikes
+from .frame_result import FirmwareState, FrameContext, FrameResult, IdentifiedStars
+from .frame_search import ARCSEC_PER_RAD, FrameLog, SearchOutcome, directions, solve, velocity_over_c
+from .frame_trace import Trace
+from .identification.interface import Spikes
 from .identification.verification import COUNT_NAMES, false_solutions_kernel, spread_kernel
 from .image.detection import DetectionParameters, detect
 from .image.frame import Frame
@@ -20,7 +22,7 @@ from .image.spots import Spots, WindowStatus
 from .image.windows import detect_in_windows
 from .modes import Mode, ModeEvent
 from .reasons import Reason
-from .tracking import TrackingPlan, plan_windows, verify_by_pivot
+from .tracking import plan_windows, verify_by_pivot
 from .work import Work
 
 __all__ = [
@@ -37,25 +39,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int32]
 
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
-_NO_VELOCITY = np.zeros(3)
-_ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
 # A merged window gives so many spots more than it has stars, so that a false one does not crowd out a star.
 _SPARE_SPOTS = 2
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    """What a search found, before the rate and the history are looked at."""
-
-    reasons: Reason
-    spots: Spots
-    stars: IdentifiedStars = field(default_factory=IdentifiedStars.none)
-    attitude: AttitudeSolution | None = None
-    rects: IntArray = field(default_factory=lambda: NO_RECTS)
-    half_width_px: int = 0
-    plan: TrackingPlan | None = None
-    identification: Identification | None = None
-    false_solutions: float = math.inf
 
 
 def process_frame(
@@ -64,32 +49,26 @@ def process_frame(
     state: FirmwareState,
     configuration: FirmwareConfiguration,
     tables: StarTables,
+    trace: Trace | None = None,
 ) -> FrameResult:
     """Find the attitude of one frame.
 
     In LOST_IN_SPACE the whole frame is searched and identified; in TRACKING only the windows are looked at.
     TRACKING without a valid attitude to start from is treated as LOST_IN_SPACE.
+    trace: called after each step with its record (``frame_trace.py``).
     """
-    work = Work({"frames": 1})
+    log = FrameLog(Work({"frames": 1}), trace)
     tracking = context.acquisition is Mode.TRACKING and state.q_icrs_to_sensor is not None
     detection = configuration.detection
     exposure_s = context.exposure_ns * 1e-9
     if detection.exposure_s != exposure_s:
         detection = replace(detection, exposure_s=exposure_s)
-    velocity = _velocity_over_c(context, configuration, work)
+    velocity = velocity_over_c(context, configuration, log)
     if tracking:
-        outcome = _track(frame, context, state, configuration, tables, detection, velocity, work)
+        outcome = _track(frame, context, state, configuration, tables, detection, velocity, log)
     else:
-        outcome = _find(frame, configuration, tables, detection, velocity, work)
-    return _conclude(outcome, tracking, context, state, configuration, work)
-
-
-def _velocity_over_c(context: FrameContext, configuration: FirmwareConfiguration, work: Work) -> FloatArray:
-    if not configuration.aberration_correction or context.tai_ns is None:
-        return _NO_VELOCITY
-    work.add("observer_velocities")
-    velocity = earth_velocity_km_s(context.tai_ns) + np.array(configuration.velocity_km_s)
-    return np.asarray(velocity / SPEED_OF_LIGHT_KM_S)
+        outcome = _find(frame, configuration, tables, detection, velocity, log)
+    return _conclude(outcome, tracking, context, state, configuration, log)
 
 
 def _find(
@@ -98,41 +77,52 @@ def _find(
     tables: StarTables,
     detection: DetectionParameters,
     velocity: FloatArray,
-    work: Work,
-) -> _Outcome:
+    log: FrameLog,
+) -> SearchOutcome:
     """Lost in space: the whole frame against the whole catalogue."""
-    spots, detection_work = detect(frame.full(), detection)
-    work += detection_work
+    image = frame.full()
+    spots, detection_work = detect(image, detection)
+    log.step("detect", {"image": image, "parameters": detection}, spots, detection_work)
     if spots.background_dn > configuration.blinded_background_dn:
-        return _Outcome(Reason.BLINDED, spots)
+        return SearchOutcome(Reason.BLINDED, spots)
     if spots.overflowed:
-        return _Outcome(Reason.TOO_MANY_SPOTS, spots)
+        return SearchOutcome(Reason.TOO_MANY_SPOTS, spots)
     used = spots.brightest(configuration.max_spots)
-    b_vectors = configuration.geometry.unit_vectors(used.x_px, used.y_px)
-    work.add("unit_vectors", len(used))
-    if configuration.geometry.distorted:
-        work.add("distortions_removed", len(used))
+    b_vectors = directions(used, configuration, log)
     parameters = configuration.identification
     budget = configuration.cycle_budget
     if budget is not None:
         parameters = replace(
             parameters,
-            max_cycles=budget.for_search(work),
+            max_cycles=budget.for_search(log.work),
             count_cycles=np.array(budget.processor.costs(COUNT_NAMES)),
         )
-    identification, identification_work = configuration.identify(
-        Spikes(b_vectors, used.magnitude), tables, parameters
+    spikes = Spikes(b_vectors, used.magnitude)
+    identification, identification_work = configuration.identify(spikes, tables, parameters)
+    log.step(
+        "identify",
+        {
+            "algorithm": configuration.identify,
+            "spikes": spikes,
+            "tables": tables,
+            "parameters": parameters,
+        },
+        identification,
+        identification_work,
     )
-    work += identification_work
     if not identification.identified:
-        return _Outcome(identification.reason, spots, identification=identification)
+        return SearchOutcome(identification.reason, spots, identification=identification)
     spot = np.flatnonzero(identification.star_index >= 0).astype(np.int32)
     rows = identification.star_index[spot]
     reference = np.empty((len(rows), 3))
     apparent_kernel(tables.catalogue.unit_vectors, rows, velocity, reference)
-    if velocity.any():
-        work.add("aberrated_stars", len(rows))
-    outcome = _solve(
+    log.step(
+        "apparent",
+        {"unit_vectors": tables.catalogue.unit_vectors, "rows": rows, "velocity": velocity},
+        reference,
+        Work({"aberrated_stars": len(rows)} if velocity.any() else None),
+    )
+    outcome = solve(
         b_vectors[spot],
         reference,
         rows,
@@ -142,7 +132,7 @@ def _find(
         tables,
         configuration.identification.tolerance_rad,
         min(configuration.identification.min_stars, len(rows)),
-        work,
+        log,
     )
     return replace(
         outcome,
@@ -160,26 +150,43 @@ def _track(
     tables: StarTables,
     detection: DetectionParameters,
     velocity: FloatArray,
-    work: Work,
-) -> _Outcome:
+    log: FrameLog,
+) -> SearchOutcome:
     """Tracking: the windows where the last attitude puts the stars."""
     parameters = configuration.tracking
     geometry = configuration.geometry
     assert state.q_icrs_to_sensor is not None
+    interval_s = abs(context.t_mid_ns - state.t_ns) * 1e-9
+    exposure_s = context.exposure_ns * 1e-9
     plan, plan_work = plan_windows(
         state.q_icrs_to_sensor,
         state.pivot,
         tables.catalogue,
         geometry,
         parameters,
-        abs(context.t_mid_ns - state.t_ns) * 1e-9,
-        context.exposure_ns * 1e-9,
+        interval_s,
+        exposure_s,
         velocity,
     )
-    work += plan_work
+    log.step(
+        "plan",
+        {
+            "q_icrs_to_sensor": state.q_icrs_to_sensor,
+            "pivot_star": state.pivot,
+            "catalogue": tables.catalogue,
+            "geometry": geometry,
+            "parameters": parameters,
+            "interval_s": interval_s,
+            "exposure_s": exposure_s,
+            "velocity": velocity,
+        },
+        plan,
+        plan_work,
+    )
     if len(plan.star) == 0:
-        return _Outcome(Reason.TOO_FEW_STARS, Spots.empty(), half_width_px=plan.half_width_px, plan=plan)
+        return SearchOutcome(Reason.TOO_FEW_STARS, Spots.empty(), half_width_px=plan.half_width_px, plan=plan)
     flat, offsets = frame.windows(plan.rects)
+    keep = plan.stars_in_windows() + np.int32(_SPARE_SPOTS)
     found, window_work = detect_in_windows(
         flat,
         offsets,
@@ -187,19 +194,40 @@ def _track(
         detection,
         width_px=geometry.width_px,
         height_px=geometry.height_px,
-        keep=plan.stars_in_windows() + np.int32(_SPARE_SPOTS),
+        keep=keep,
     )
-    work += window_work
+    log.step(
+        "windows",
+        {
+            "flat": flat,
+            "offsets": offsets,
+            "rects": plan.rects,
+            "parameters": detection,
+            "width_px": geometry.width_px,
+            "height_px": geometry.height_px,
+            "keep": keep,
+        },
+        found,
+        window_work,
+    )
     spots = found.spots
-    blank = _Outcome(Reason.NONE, spots, rects=plan.rects, half_width_px=plan.half_width_px, plan=plan)
+    blank = SearchOutcome(Reason.NONE, spots, rects=plan.rects, half_width_px=plan.half_width_px, plan=plan)
     if spots.background_dn > configuration.blinded_background_dn:
         return replace(blank, reasons=Reason.BLINDED)
-    b_vectors = geometry.unit_vectors(spots.x_px, spots.y_px)
-    work.add("unit_vectors", len(spots))
-    if geometry.distorted:
-        work.add("distortions_removed", len(spots))
+    b_vectors = directions(spots, configuration, log)
     verification, verification_work = verify_by_pivot(plan, found, b_vectors, tables.catalogue, parameters)
-    work += verification_work
+    log.step(
+        "verify",
+        {
+            "plan": plan,
+            "found": found,
+            "b_vectors": b_vectors,
+            "catalogue": tables.catalogue,
+            "parameters": parameters,
+        },
+        verification,
+        verification_work,
+    )
     if verification.pivot < 0:
         reasons = Reason.PIVOT_LOST
         if verification.found < parameters.min_stars:
@@ -211,7 +239,7 @@ def _track(
         return replace(blank, reasons=reasons)
     star = np.flatnonzero(verification.spot >= 0)
     spot = verification.spot[star]
-    outcome = _solve(
+    outcome = solve(
         b_vectors[spot],
         plan.reference[star],
         plan.star[star],
@@ -221,14 +249,27 @@ def _track(
         tables,
         parameters.tolerance_rad,
         parameters.min_stars,
-        work,
+        log,
     )
+    measured = b_vectors[spot]
     chance = false_solutions_kernel(
         len(tables.catalogue),
         len(spots),
         len(outcome.stars),
-        spread_kernel(b_vectors[spot], len(spot)),
+        spread_kernel(measured, len(spot)),
         parameters.tolerance_rad,
+    )
+    log.step(
+        "false_solutions",
+        {
+            "stars": len(tables.catalogue),
+            "spots": len(spots),
+            "matched": len(outcome.stars),
+            "b_vectors": measured,
+            "tolerance_rad": parameters.tolerance_rad,
+        },
+        float(chance),
+        Work(),
     )
     return replace(
         outcome,
@@ -237,41 +278,6 @@ def _track(
         plan=plan,
         false_solutions=float(chance),
     )
-
-
-def _solve(
-    measured: FloatArray,
-    reference: FloatArray,
-    rows: IntArray,
-    spot: IntArray,
-    spots: Spots,
-    configuration: FirmwareConfiguration,
-    tables: StarTables,
-    tolerance_rad: float,
-    min_stars: int,
-    work: Work,
-) -> _Outcome:
-    """Attitude of the identified stars, without those over the tolerance.
-
-    ASSUMED: at most a third of the stars may be dropped; more, and the rest is not to be trusted either.
-    """
-    least = max(min_stars, math.ceil(2.0 * len(rows) / 3.0))
-    sigma = configuration.centroid_error.sigma_px(spots.flux_dn[spot], spots.noise_dn)
-    sigma /= configuration.geometry.focal_px
-    solution, kept, solution_work = robust_q_method(measured, reference, sigma, tolerance_rad, least)
-    work += solution_work
-    if solution is None:
-        return _Outcome(Reason.TOO_FEW_STARS if len(kept) >= least else Reason.RESIDUAL_TOO_LARGE, spots)
-    rows, spot = rows[kept], spot[kept]
-    stars = IdentifiedStars(
-        tables.catalogue.hip[rows],
-        rows,
-        spot,
-        spots.x_px[spot],
-        spots.y_px[spot],
-        solution.residuals_rad * _ARCSEC_PER_RAD,
-    )
-    return _Outcome(Reason.NONE, spots, stars, solution)
 
 
 def _rate_too_high(
@@ -294,12 +300,12 @@ def _rate_too_high(
 
 
 def _conclude(
-    outcome: _Outcome,
+    outcome: SearchOutcome,
     tracking: bool,
     context: FrameContext,
     state: FirmwareState,
     configuration: FirmwareConfiguration,
-    work: Work,
+    log: FrameLog,
 ) -> FrameResult:
     """Look at the rate, decide on validity and on the next search, and carry the state on."""
     reasons = outcome.reasons
@@ -316,10 +322,23 @@ def _conclude(
         interval_ns = context.t_mid_ns - t_before
         measured = covariance is not None
         if before is not None and measured and 0 < interval_ns <= configuration.solved_validity_ns:
-            rate = angular_rate(before, solution.q_icrs_to_sensor, interval_ns * 1e-9)
-            work.add("rate_solves")
-            if _rate_too_high(rate, interval_ns * 1e-9, covariance, solution.covariance_rad2, configuration):
+            interval_s = interval_ns * 1e-9
+            rate = angular_rate(before, solution.q_icrs_to_sensor, interval_s)
+            if _rate_too_high(rate, interval_s, covariance, solution.covariance_rad2, configuration):
                 reasons |= Reason.RATE_TOO_HIGH
+            log.step(
+                "rate",
+                {
+                    "before": before,
+                    "after": solution.q_icrs_to_sensor,
+                    "interval_s": interval_s,
+                    "covariance_before_rad2": covariance,
+                    "covariance_after_rad2": solution.covariance_rad2,
+                    "tracking": configuration.tracking,
+                },
+                rate,
+                Work({"rate_solves": 1}),
+            )
         state = replace(
             state,
             solved=solution.q_icrs_to_sensor,
@@ -364,9 +383,9 @@ def _conclude(
         event=event,
         spots=outcome.spots,
         stars=outcome.stars,
-        residual_rms_arcsec=0.0 if solution is None else solution.residual_rms_rad * _ARCSEC_PER_RAD,
+        residual_rms_arcsec=0.0 if solution is None else solution.residual_rms_rad * ARCSEC_PER_RAD,
         window_half_width_px=outcome.half_width_px,
-        work=work,
+        work=log.work,
         state=state,
         rects=outcome.rects,
         plan=outcome.plan,
