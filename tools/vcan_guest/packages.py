@@ -28,16 +28,25 @@ def require_packages(programs: Sequence[str]) -> str | None:
     missing = [name for name in programs if program(name) is None]
     if not missing:
         return None
-    packages = " ".join(PACKAGE_OF[name] for name in missing)
+    packages = [PACKAGE_OF[name] for name in missing]
+    failure = install_packages(packages, "tools/vcan")
+    if failure:
+        return f"{', '.join(missing)} missing; {failure}" if failure.startswith("on Debian") else failure
+    still = [name for name in programs if program(name) is None]
+    return f"{', '.join(still)} missing even with {' '.join(packages)} installed" if still else None
+
+
+def install_packages(packages: Sequence[str], tool: str) -> str | None:
+    """Install Debian packages, as root, and say so in the name of ``tool``; what to tell the user if not."""
+    wanted = " ".join(packages)
     if os.geteuid() != 0 or program("apt-get") is None:
-        return f"{', '.join(missing)} missing; on Debian, as root: apt-get install {packages}"
-    print(f"tools/vcan: installing {packages} with apt-get", file=sys.stderr)
+        return f"on Debian, as root: apt-get install {wanted}"
+    print(f"{tool}: installing {wanted} with apt-get", file=sys.stderr)
     options = ["-qq", "-o", f"DPkg::Lock::Timeout={LOCK_TIMEOUT_S}"]
     environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
-    for arguments in (["update"], ["install", "-y", "--no-install-recommends", *packages.split()]):
+    for arguments in (["update"], ["install", "-y", "--no-install-recommends", *packages]):
         line = ["apt-get", *options, *arguments]
         done = subprocess.run(line, stdin=subprocess.DEVNULL, stdout=sys.stderr, env=environment, check=False)
         if done.returncode:
-            return f"apt-get could not install {packages} (see its message above)"
-    still = [name for name in programs if program(name) is None]
-    return f"{', '.join(still)} missing even with {packages} installed" if still else None
+            return f"apt-get could not install {wanted} (see its message above)"
+    return None
