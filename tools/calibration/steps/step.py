@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from st_emulator.firmware_model.frame_trace import StepRecord
     from tools.arm_timing.machine import ArmMachine, Cost
 
+    from st_emulator.firmware_model.frame_trace import StepRecord
     from st_emulator.firmware_model.work import Work
 
 __all__ = ["MismatchError", "OwnRecords", "StageRun", "Step"]
