@@ -65,12 +65,15 @@ def q_method(
     b = np.ascontiguousarray(measured, np.float64)
     r = np.ascontiguousarray(reference, np.float64)
     weights = 1.0 / np.square(np.ascontiguousarray(sigma_rad, np.float64))
-    solved, chi_square = solve_attitude_kernel(b, r, weights, count, quaternion, residuals, covariance)
+    solved, chi_square, rotations = solve_attitude_kernel(
+        b, r, weights, count, quaternion, residuals, covariance
+    )
     work.add("covariance_stars", count)
     work.add("covariance_solves", 1)
     if not solved:
         return None, work
     work.add("qmethod_solves", 1)
+    work.add("jacobi_rotations", rotations)
     work.add("residual_stars", count)
     return AttitudeSolution(quaternion, residuals, covariance, float(chi_square), 2 * count - 3), work
 
@@ -95,7 +98,7 @@ def robust_q_method(
     quaternion = np.empty(4)
     residuals = np.empty(count)
     covariance = np.empty((3, 3))
-    counts = np.zeros(3, np.int64)
+    counts = np.zeros(4, np.int64)
     solved, left, chi_square = _robust_kernel(
         np.ascontiguousarray(measured, np.float64),
         np.ascontiguousarray(reference, np.float64),
@@ -112,6 +115,7 @@ def robust_q_method(
         {
             "qmethod_stars": int(counts[0]),
             "qmethod_solves": int(counts[1]),
+            "jacobi_rotations": int(counts[3]),
             "residual_stars": int(counts[0]),
             "covariance_stars": int(counts[2]),
             "covariance_solves": 1 if counts[2] else 0,
@@ -139,7 +143,10 @@ def _robust_kernel(
     covariance: FloatArray,
     counts: npt.NDArray[np.int64],
 ) -> tuple[bool, int, float]:
-    """(solved, stars kept, chi^2); see robust_q_method. residuals[:kept] are those of the stars kept."""
+    """(solved, stars kept, chi^2); see robust_q_method. residuals[:kept] are those of the stars kept.
+
+    counts[4]: stars summed and solves of the q-method, stars of the covariance, rotations.
+    """
     stars = len(measured)
     b = measured.copy()
     r = reference.copy()
@@ -153,7 +160,7 @@ def _robust_kernel(
     if not covariance_kernel(b, weights, left, covariance):
         return False, left, 0.0
     while True:
-        quaternion_kernel(b, r, weights, left, q)
+        counts[3] += quaternion_kernel(b, r, weights, left, q)
         residuals_kernel(b, r, left, q, residuals)
         counts[0] += left
         counts[1] += 1
@@ -177,7 +184,7 @@ def _robust_kernel(
         for i in range(left):
             spread = max(s[i], residuals[i] / 3.0)
             weights[i] = 1.0 / (spread * spread)
-        quaternion_kernel(b, r, weights, left, q)
+        counts[3] += quaternion_kernel(b, r, weights, left, q)
         residuals_kernel(b, r, left, q, residuals)
         counts[0] += left
         counts[1] += 1
@@ -199,12 +206,12 @@ def _robust_kernel(
 def largest_eigenvector_kernel(k: FloatArray, vector: FloatArray) -> int:
     """Unit eigenvector of the largest eigenvalue of symmetric k[4, 4] (destroyed), by cyclic Jacobi.
 
-    Returns the sweeps done. Jacobi keeps small eigenvalue gaps exact, which a narrow field needs: the gap
+    Returns the rotations done. Jacobi keeps small eigenvalue gaps exact, which a narrow field needs: the gap
     is about the square of the field's radius.
     """
     v = np.eye(4)
-    sweeps = 0
-    for sweep in range(30):
+    rotations = 0
+    for _sweep in range(30):
         off = 0.0
         for p in range(3):
             for q in range(p + 1, 4):
@@ -214,11 +221,11 @@ def largest_eigenvector_kernel(k: FloatArray, vector: FloatArray) -> int:
             diagonal += k[p, p] * k[p, p]
         if off <= 1e-34 * diagonal:
             break
-        sweeps = sweep + 1
         for p in range(3):
             for q in range(p + 1, 4):
                 if k[p, q] == 0.0:
                     continue
+                rotations += 1
                 theta = (k[q, q] - k[p, p]) / (2.0 * k[p, q])
                 t = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
                 if theta < 0.0:
@@ -252,7 +259,7 @@ def largest_eigenvector_kernel(k: FloatArray, vector: FloatArray) -> int:
         norm = -norm
     for i in range(4):
         vector[i] = v[i, largest] / norm
-    return sweeps
+    return rotations
 
 
 @numba.njit(cache=True, nogil=True)
@@ -271,8 +278,11 @@ def matrix_kernel(q: FloatArray, a: FloatArray) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def quaternion_kernel(b: FloatArray, r: FloatArray, weights: FloatArray, count: int, q: FloatArray) -> None:
-    """The q-method alone: the first `count` pairs b[i], r[i] with their weights to the quaternion q[4]."""
+def quaternion_kernel(b: FloatArray, r: FloatArray, weights: FloatArray, count: int, q: FloatArray) -> int:
+    """The q-method alone: the first `count` pairs b[i], r[i] with their weights to the quaternion q[4].
+
+    Returns the rotations that its eigenvector took.
+    """
     profile = np.zeros((3, 3))
     for i in range(count):
         for m in range(3):
@@ -288,7 +298,7 @@ def quaternion_kernel(b: FloatArray, r: FloatArray, weights: FloatArray, count: 
     k[1, 3] = k[3, 1] = profile[2, 0] - profile[0, 2]
     k[2, 3] = k[3, 2] = profile[0, 1] - profile[1, 0]
     k[3, 3] = trace
-    largest_eigenvector_kernel(k, q)
+    return largest_eigenvector_kernel(k, q)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -347,11 +357,11 @@ def solve_attitude_kernel(
     q: FloatArray,
     residuals: FloatArray,
     covariance: FloatArray,
-) -> tuple[bool, float]:
-    """(solved, chi^2): q-method, residuals and the scaled covariance of the first `count` pairs."""
+) -> tuple[bool, float, int]:
+    """(solved, chi^2, rotations): q-method, residuals, scaled covariance of the first `count` pairs."""
     if not covariance_kernel(b, weights, count, covariance):
-        return False, 0.0
-    quaternion_kernel(b, r, weights, count, q)
+        return False, 0.0, 0
+    rotations = quaternion_kernel(b, r, weights, count, q)
     residuals_kernel(b, r, count, q, residuals)
     chi_square = 0.0
     for i in range(count):
@@ -361,7 +371,7 @@ def solve_attitude_kernel(
         for m in range(3):
             for n in range(3):
                 covariance[m, n] *= chi_square / freedom
-    return True, chi_square
+    return True, chi_square, rotations
 
 
 def attitude_matrix(q_icrs_to_sensor: FloatArray) -> FloatArray:

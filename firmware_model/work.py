@@ -84,6 +84,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     # attitude
     ("qmethod_stars", "attitude", "star summed into the attitude profile matrix"),
     ("qmethod_solves", "attitude", "largest eigenvector of the 4 x 4 matrix"),
+    ("jacobi_rotations", "attitude", "plane rotation on the way to an eigenvector", False),
     ("residual_stars", "attitude", "star's residual computed with the attitude"),
     ("covariance_stars", "attitude", "star summed into the information matrix"),
     ("covariance_solves", "attitude", "3 x 3 inversion"),

@@ -36,11 +36,12 @@ COUNT_NAMES = (
     "trial_stars_projected",
     "qmethod_stars",
     "qmethod_solves",
+    "jacobi_rotations",
 )
 KVECTOR_QUERIES, KVECTOR_HITS, ANGLES_COMPUTED, PAIRS_COMPARED = range(4)
 TRIADS_TESTED, TRIANGLES_TESTED, PYRAMIDS_TESTED, CANDIDATES_MARKED, VOTES = range(4, 9)
 MAGNITUDES_COMPARED, CATALOGUE_ANGLES, SPOTS_CONFIRMED, TRIAL_STARS_PROJECTED = range(9, 13)
-QMETHOD_STARS, QMETHOD_SOLVES = range(13, 15)
+QMETHOD_STARS, QMETHOD_SOLVES, JACOBI_ROTATIONS = range(13, 16)
 
 OPERATIONS = 13  # the counts before this one are the stage identification's
 
@@ -222,7 +223,7 @@ def refine_kernel(
                 reference[matched, m] = unit_vectors[star, m]
             matched += 1
     if matched >= 3:
-        quaternion_kernel(measured, reference, np.ones(spots), matched, q)
+        counts[JACOBI_ROTATIONS] += quaternion_kernel(measured, reference, np.ones(spots), matched, q)
         counts[QMETHOD_STARS] += matched
         counts[QMETHOD_SOLVES] += 1
     return matched

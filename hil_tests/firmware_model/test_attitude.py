@@ -224,6 +224,32 @@ def test_the_eigenvector_is_numpys(seed: int) -> None:
     assert abs(vector @ expected) == pytest.approx(1.0, abs=1e-12)
 
 
+def test_rotations_are_counted_where_there_is_something_to_rotate() -> None:
+    vector = np.empty(4)
+    assert largest_eigenvector_kernel(np.diag([1.0, 2.0, 3.0, 4.0]), vector) == 0
+    block = np.diag([1.0, 2.0, 3.0, 4.0])
+    block[0, 3] = block[3, 0] = 0.5
+    assert largest_eigenvector_kernel(block, vector) == 1
+    rng = np.random.default_rng(21)
+    k = rng.normal(size=(4, 4))
+    rotations = largest_eigenvector_kernel(k + k.T, vector)
+    assert rotations % 6 == 0
+    assert 12 <= rotations <= 42  # quadratic convergence: two sweeps at least, about five as a rule
+
+
+def test_work_of_a_robust_solution_adds_the_rotations_of_its_solves() -> None:
+    rng = np.random.default_rng(22)
+    b = field_of_stars(rng, 8, 0.07)
+    q = random_attitude(rng)
+    sigma = np.full(8, ARCSEC)
+    _, work = q_method(noisy(rng, b, sigma), b @ matrix(q), sigma)
+    assert work["qmethod_solves"] == 1
+    assert 12 <= work["jacobi_rotations"] <= 42
+    _, _, robust = robust_q_method(noisy(rng, b, sigma), b @ matrix(q), sigma, 12 * ARCSEC, 3)
+    assert robust["qmethod_solves"] == 4
+    assert 4 * 12 <= robust["jacobi_rotations"] <= 4 * 42
+
+
 def test_products_are_in_the_order_of_the_matrices() -> None:
     rng = np.random.default_rng(18)
     for _ in range(50):
