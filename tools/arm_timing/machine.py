@@ -1,0 +1,197 @@
+"""An ARM926EJ-S that calls functions of a compiled program and says what they cost."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_ARM, Uc, UcError
+from unicorn.arm_const import (
+    UC_ARM_REG_LR,
+    UC_ARM_REG_PC,
+    UC_ARM_REG_R0,
+    UC_ARM_REG_R1,
+    UC_ARM_REG_SP,
+    UC_CPU_ARM_926,
+)
+from unicorn.unicorn_const import UC_PROT_ALL
+from unicorn.unicorn_py3.unicorn import uclib
+
+from . import callbacks
+from .cost import Call, Cost
+from .errors import ArmError
+from .memory import LINE_BYTES, PAGE_BYTES, Memory
+from .program import Program
+
+EXIT_ADDRESS = 0xF000_0000  # where a called function returns to
+MOST_INSTRUCTIONS = 20_000_000_000
+_REGISTER_ARGUMENTS = 4  # AAPCS (IHI 0042) 6.5: r0 to r3
+
+
+class ArmMachine:
+    """Memory, core and caches of an ARM926EJ-S with a program in it.
+
+    ``caches_kib`` are sizes of the instruction and of the data cache, all simulated in one run. What is placed
+    from outside leaves the caches as they are; they persist over calls.
+    """
+
+    def __init__(
+        self,
+        elf: Path,
+        *,
+        memory_bytes: int = 192 << 20,
+        caches_kib: Sequence[int] = (32, 16, 8, 4),
+        replacement: str = "round-robin",
+        max_instructions: int = MOST_INSTRUCTIONS,
+    ) -> None:
+        if replacement != "round-robin":
+            raise ValueError(f"replacement {replacement!r}: only round-robin is modelled")
+        self.program = Program.read(elf)
+        self.symbols = self.program.symbols
+        self.caches_kib = tuple(caches_kib)
+        self.max_instructions = max_instructions
+        self._memory = Memory(self.program.segments, memory_bytes)
+        self._engine = Uc(UC_ARCH_ARM, UC_MODE_ARM, UC_CPU_ARM_926)
+        for start, contents in self._memory.regions:
+            self._engine.mem_map_ptr(start, len(contents), UC_PROT_ALL, contents.ctypes.data)
+        self._engine.mem_map(EXIT_ADDRESS, PAGE_BYTES)
+        self._state = np.zeros(callbacks.STATE_LENGTH, np.int64)
+        stop = ctypes.cast(uclib.uc_emu_stop, ctypes.c_void_p).value
+        self._state[callbacks.STOP_FUNCTION] = stop
+        self._add_callback(UC_HOOK_CODE, callbacks.on_instruction.address)
+        self._engine.ctl_flush_tb()
+
+    def _add_callback(self, kind: int, address: int) -> None:
+        """As Uc.hook_add, with a compiled function instead of a Python one."""
+        handle = ctypes.c_size_t()
+        status = uclib.uc_hook_add(
+            self._engine._uch,
+            ctypes.byref(handle),
+            ctypes.c_int(kind),
+            ctypes.c_void_p(address),
+            ctypes.c_void_p(self._state.ctypes.data),
+            ctypes.c_uint64(1),
+            ctypes.c_uint64(0),
+        )
+        if status:
+            raise UcError(status)
+
+    def place(self, array: npt.NDArray[Any], *, keep: bool = False) -> int:
+        """Copy an array into memory, from a new line on; the address.
+
+        It lives until `release`, or with ``keep`` for good: then the same array (its data, shape and type) is
+        placed once, and must not be changed afterwards.
+        """
+        contiguous = np.ascontiguousarray(array)
+        if keep and contiguous is not array and contiguous.nbytes:
+            raise ValueError("an array to keep must be contiguous: a copy would be placed at each call")
+        if keep:
+            address, new = self._memory.keep(contiguous)
+            if new:
+                self.write(address, contiguous)
+            return address
+        address = self._memory.reserve(contiguous.nbytes)
+        self.write(address, contiguous)
+        return address
+
+    def reserve(self, nbytes: int) -> int:
+        """Address of so many zeroed bytes on a new line; they live until `release`."""
+        return self._memory.reserve(nbytes)
+
+    def read(self, address: int, dtype: npt.DTypeLike, shape: int | tuple[int, ...]) -> npt.NDArray[Any]:
+        """A copy of an array in memory."""
+        kind = np.dtype(dtype)
+        nbytes = int(np.prod(shape)) * kind.itemsize
+        return self._memory.view(address, nbytes).copy().view(kind).reshape(shape)
+
+    def write(self, address: int, array: npt.NDArray[Any]) -> None:
+        """Copy an array to an address."""
+        contiguous = np.ascontiguousarray(array)
+        self._memory.view(address, contiguous.nbytes)[:] = contiguous.reshape(-1).view(np.uint8)
+
+    def dma(self, array: npt.NDArray[Any], keep_address: int | None = None) -> int:
+        """As `place`, or to an address, but written by a device: its lines leave the data caches."""
+        if keep_address is None:
+            return self.place(array)
+        self.write(keep_address, array)
+        return keep_address
+
+    def release(self) -> None:
+        """Free what was placed or reserved and not kept."""
+        self._memory.release()
+
+    def flush_caches(self) -> None:
+        """Empty the caches: what follows starts cold."""
+
+    def call(self, symbol: str, *arguments: int | float) -> Call:
+        """Call a function as AAPCS says, soft float: an int is a word, a float a double.
+
+        ArmError with pc and symbol if there is no such function, it touches memory that is not there, meets an
+        instruction that ARM926EJ-S has not, or runs beyond ``max_instructions``.
+        """
+        if symbol not in self.symbols:
+            raise ArmError(f"{self.program.path}: no symbol {symbol!r}")
+        registers, stacked = _arguments(arguments)
+        top = self._memory.stack_top - len(stacked)
+        if stacked:
+            self.write(top, np.frombuffer(stacked, np.uint8))
+        for number, value in enumerate(registers):
+            self._engine.reg_write(UC_ARM_REG_R0 + number, value)
+        self._engine.reg_write(UC_ARM_REG_SP, top)
+        self._engine.reg_write(UC_ARM_REG_LR, EXIT_ADDRESS)
+        cost = self._run(self.symbols[symbol])
+        low, high = self._engine.reg_read(UC_ARM_REG_R0), self._engine.reg_read(UC_ARM_REG_R1)
+        return Call(low, struct.unpack("<d", struct.pack("<II", low, high))[0], cost)
+
+    def _run(self, start: int) -> Cost:
+        if start & 1:
+            raise ArmError(
+                f"{self.program.place_of(start)}: Thumb code, which has no timing here; build with -marm"
+            )
+        state = self._state
+        before = int(state[callbacks.INSTRUCTIONS])
+        state[callbacks.MOST_INSTRUCTIONS] = before + self.max_instructions
+        state[callbacks.STOPPED] = 0
+        try:
+            self._engine.emu_start(start, EXIT_ADDRESS)
+        except UcError as error:
+            raise ArmError(f"at {self._place()}: {error}") from error
+        if state[callbacks.STOPPED] == callbacks.RUNAWAY:
+            raise ArmError(f"at {self._place()}: still running after {self.max_instructions} instructions")
+        if self._engine.reg_read(UC_ARM_REG_PC) != EXIT_ADDRESS:
+            raise ArmError(f"at {self._place()}: stopped before the function returned")
+        count = int(state[callbacks.INSTRUCTIONS]) - before
+        sizes = dict.fromkeys(self.caches_kib, 0)
+        return Cost(count, count, sizes, dict(sizes), 0, count, dict(sizes), {}, 0)
+
+    def _place(self) -> str:
+        return self.program.place_of(int(self._state[callbacks.PC]))
+
+
+def _arguments(arguments: Sequence[int | float]) -> tuple[list[int], bytes]:
+    """Registers r0 to r3 and bytes on the stack (AAPCS 6.5, stages C.3 to C.8)."""
+    registers: list[int] = []
+    stacked = b""
+    for argument in arguments:
+        if isinstance(argument, (float, np.floating)):
+            words = struct.unpack("<II", struct.pack("<d", argument))
+            if len(registers) % 2:
+                registers.append(0)
+        else:
+            words = (int(argument) & 0xFFFF_FFFF,)
+            if not -(1 << 31) <= int(argument) < 1 << 32:
+                raise ValueError(f"{argument} is no 32-bit word")
+        if len(registers) + len(words) <= _REGISTER_ARGUMENTS:
+            registers += words
+            continue
+        registers += [0] * (_REGISTER_ARGUMENTS - len(registers))
+        stacked += bytes(-len(stacked) % (4 * len(words))) + struct.pack(f"<{len(words)}I", *words)
+    return registers, stacked + bytes(-len(stacked) % 8)
+
+
+__all__ = ["LINE_BYTES", "ArmError", "ArmMachine", "Call", "Cost"]
