@@ -16,4 +16,7 @@ void st_cosine_range(double angle_rad, double tolerance_rad, double *lowest, dou
 /* Scalar product of two vectors. */
 double st_dot(const double *one, const double *other);
 
+/* The same of unit vectors in Q30 (1 is 2^30), truncated downwards: good to 3e-9. */
+int32_t st_dot_q30(const int32_t *one, const int32_t *other);
+
 #endif
