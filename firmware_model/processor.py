@@ -1,44 +1,42 @@
 """Cycles from work: the one place where counts become time.
 
-A profile is a clock and a table of coefficients, core and memory cycles of one of each count, each with its
-evidence. Those of ``cycle_costs/arm926ej_s_provisional.json`` are provisional: see its ``accuracy``.
+A processor is a table of coefficients (``cycle_table.py``) at a clock, with caches of a size and a memory
+that fills a line of them in a low, nominal or high time. The clock of the processor does not change that of
+the memory: the same fill takes more cycles of a faster processor.
 """
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
-from typing import Any, Final
 
+from .cycle_table import (
+    EVIDENCE,
+    LINE_FILLS,
+    NO_CACHE_KIB,
+    Coefficient,
+    CycleTable,
+    MemoryTiming,
+    ProcessorProfileError,
+    load_table,
+)
 from .work import COUNTS, STAGES, Work
 
 __all__ = [
     "EVIDENCE",
+    "LINE_FILLS",
     "Coefficient",
     "CycleBudget",
     "CycleReport",
+    "CycleTable",
+    "MemoryTiming",
     "ProcessorProfile",
     "ProcessorProfileError",
 ]
 
-EVIDENCE: Final = ("trial", "derived", "assumed")  # best first; the JSON file says what each means
-
-
-class ProcessorProfileError(ValueError):
-    """A processor profile that cannot be used; the message names file, key and what is allowed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Coefficient:
-    """What one of a count costs, and how that is known."""
-
-    core_cycles: float  # with all memory accesses hitting the caches
-    memory_cycles: float  # waiting for memory
-    evidence: str  # one of EVIDENCE
-    source: str
+_SIGMAS = 2.0  # of the fit, in the bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,40 +48,80 @@ class CycleReport:
 
 
 class ProcessorProfile:
-    """A clock and coefficients: ``cycles(work)``, ``duration_ns(cycles)``.
+    """A processor: ``cycles(work)``, ``bounds(work)``, ``duration_ns(cycles)``.
 
-    Raises ProcessorProfileError unless there is exactly one coefficient for each count of ``work.COUNTS``.
+    clock_hz: of the core; default: the table's. cache_kib: size of each of the two caches, one of
+    ``table.caches_kib``, 0 for none; default: the largest. line_fill: one of ``LINE_FILLS``.
+    Raises ProcessorProfileError naming what is allowed.
     """
 
-    def __init__(self, clock_hz: int, coefficients: Mapping[str, Coefficient], name: str = "") -> None:
-        who = name or "processor"
-        if clock_hz < 1:
-            raise ProcessorProfileError(f"{name}: clock_hz must be 1 or more, not {clock_hz}")
-        missing = sorted(COUNTS.keys() - coefficients.keys())
-        unknown = sorted(coefficients.keys() - COUNTS.keys())
-        if missing or unknown:
+    def __init__(
+        self,
+        table: CycleTable,
+        clock_hz: int | None = None,
+        cache_kib: int | None = None,
+        line_fill: str = "nominal",
+    ) -> None:
+        who = table.name or "processor"
+        sizes = table.caches_kib
+        self.table = table
+        self.name = table.name
+        self.clock_hz = table.clock_hz if clock_hz is None else int(clock_hz)
+        self.cache_kib = max(sizes, default=-1) if cache_kib is None else int(cache_kib)
+        self.line_fill = line_fill
+        if self.clock_hz < 1:
+            raise ProcessorProfileError(f"{who}: clock_hz must be 1 or more, not {clock_hz}")
+        if self.cache_kib not in sizes:
             raise ProcessorProfileError(
-                f"{who}: counts without a coefficient: {', '.join(missing) or 'none'}; "
-                f"coefficients of unknown counts: {', '.join(unknown) or 'none'}"
+                f"{who}: cache_kib {cache_kib}: none of {', '.join(map(str, sizes)) or 'nothing'}"
             )
-        for count, c in coefficients.items():
-            if not (0.0 <= c.core_cycles < 1e9 and 0.0 <= c.memory_cycles < 1e9):
-                raise ProcessorProfileError(f"{who}: {count}: cycles must be 0 to 1e9")
-            if c.evidence not in EVIDENCE:
-                raise ProcessorProfileError(
-                    f"{who}: {count}: evidence {c.evidence!r} is none of {', '.join(EVIDENCE)}"
-                )
-        self.name = name
-        self.clock_hz = int(clock_hz)
-        self.coefficients = dict(coefficients)
-        self._cost = {n: (COUNTS[n].stage, c.core_cycles + c.memory_cycles) for n, c in coefficients.items()}
+        if line_fill not in LINE_FILLS:
+            raise ProcessorProfileError(f"{who}: line_fill {line_fill!r}: none of {', '.join(LINE_FILLS)}")
+        self._cost = {name: (COUNTS[name].stage, sum(self._parts(name, line_fill))) for name in COUNTS}
+
+    @property
+    def coefficients(self) -> Mapping[str, Coefficient]:
+        """One for each count."""
+        return self.table.coefficients
+
+    @property
+    def line_fill_cycles(self) -> float:
+        """Cycles of the core that a line fill takes."""
+        return self.table.memory.line_fill_ns[self.line_fill] * 1e-9 * self.clock_hz
+
+    @property
+    def uncertainty(self) -> str:
+        """How far off the figures may be, one sentence to print beside them."""
+        fills = "/".join(
+            f"{self.table.memory.line_fill_ns[level] * 1e-9 * self.clock_hz:.0f}" for level in LINE_FILLS
+        )
+        return (
+            f"from the pinned program: core cycles +-{self.table.core_uncertainty:.0%}, line fill {fills} "
+            "cycles (low/nominal/high, derived), not validated on hardware; a flight program of other "
+            "authors: a factor of 2"
+        )
+
+    def _memory_cycles(self, name: str, line_fill: str) -> float:
+        c, memory = self.table.coefficients[name], self.table.memory
+        if self.cache_kib == NO_CACHE_KIB:
+            assert c.accesses is not None
+            return c.accesses * memory.access_ns[line_fill] * 1e-9 * self.clock_hz
+        return c.line_fills[self.cache_kib] * memory.line_fill_ns[line_fill] * 1e-9 * self.clock_hz
+
+    def _parts(self, name: str, line_fill: str) -> tuple[float, float]:
+        return self.table.coefficients[name].core_cycles, self._memory_cycles(name, line_fill)
 
     def with_clock(self, clock_hz: int) -> ProcessorProfile:
-        """The same processor at another clock.
+        """The same processor at another clock; the memory keeps its own."""
+        return ProcessorProfile(self.table, clock_hz, self.cache_kib, self.line_fill)
 
-        ASSUMED: memory cycles stay as they are; with the memory's own clock unchanged they would scale.
-        """
-        return ProcessorProfile(clock_hz, self.coefficients, self.name)
+    def with_cache(self, cache_kib: int) -> ProcessorProfile:
+        """The same processor with other caches."""
+        return ProcessorProfile(self.table, self.clock_hz, cache_kib, self.line_fill)
+
+    def with_line_fill(self, line_fill: str) -> ProcessorProfile:
+        """The same processor with a slower or faster memory."""
+        return ProcessorProfile(self.table, self.clock_hz, self.cache_kib, line_fill)
 
     def costs(self, counts: Sequence[str]) -> tuple[float, ...]:
         """Cycles of one of each of these counts."""
@@ -96,8 +134,41 @@ class ProcessorProfile:
         for name, number in work.counts.items():
             stage, each = cost[name]
             exact[stage] += number * each
-        by_stage = {stage: round(value) for stage, value in exact.items()}
-        return CycleReport(by_stage, sum(by_stage.values()))
+        return _report(exact)
+
+    def parts(self, work: Work) -> dict[str, tuple[float, float]]:
+        """Core and memory cycles of each count of ``work``."""
+        return {
+            name: (number * core, number * memory)
+            for name, number in work.counts.items()
+            for core, memory in (self._parts(name, self.line_fill),)
+        }
+
+    def bounds(self, work: Work) -> tuple[CycleReport, CycleReport]:
+        """Least and most cycles of ``work``, stage by stage.
+
+        Core cycles less or more by the model's uncertainty, memory at the low and the high line fill, and
+        two sigma of the coefficients, taken as independent of one another. A count that is assumed has its
+        own uncertainty in its sigma.
+        """
+        low, high = dict.fromkeys(STAGES, 0.0), dict.fromkeys(STAGES, 0.0)
+        variance = dict.fromkeys(STAGES, 0.0)
+        fill_cycles = self.table.memory.line_fill_ns["nominal"] * 1e-9 * self.clock_hz
+        for name, number in work.counts.items():
+            stage, c = COUNTS[name].stage, self.table.coefficients[name]
+            low[stage] += number * (
+                c.core_cycles * (1.0 - self.table.core_uncertainty) + self._memory_cycles(name, "low")
+            )
+            high[stage] += number * (
+                c.core_cycles * (1.0 + self.table.core_uncertainty) + self._memory_cycles(name, "high")
+            )
+            fills_sigma = c.line_fills_sigma.get(self.cache_kib, 0.0) * fill_cycles
+            variance[stage] += number * number * (c.core_sigma**2 + fills_sigma**2)
+        spread = {stage: _SIGMAS * math.sqrt(value) for stage, value in variance.items()}
+        return (
+            _report({stage: max(0.0, value - spread[stage]) for stage, value in low.items()}),
+            _report({stage: value + spread[stage] for stage, value in high.items()}),
+        )
 
     def duration_ns(self, cycles: int) -> int:
         """Time that ``cycles`` take, whole nanoseconds, rounded up."""
@@ -105,30 +176,16 @@ class ProcessorProfile:
 
     @staticmethod
     def load(source: str | Path) -> ProcessorProfile:
-        """A profile by the name of one of ours (``arm926ej_s_provisional``) or from a JSON file.
+        """A processor by the name of one of our tables (``arm926ej_s``) or from a JSON file, at its clock.
 
         Raises ProcessorProfileError naming file, key and what is allowed.
         """
-        if isinstance(source, Path) or "/" in source or source.endswith(".json"):
-            path = Path(source)
-            try:
-                text = path.read_text(encoding="utf-8")
-            except (OSError, UnicodeDecodeError) as error:
-                raise ProcessorProfileError(f"{path}: cannot be read: {error}") from error
-            where = str(path)
-        else:
-            folder = resources.files(__package__) / "cycle_costs"
-            file = folder / f"{source}.json"
-            if not file.is_file():
-                ours = sorted(f.name[:-5] for f in folder.iterdir() if f.name.endswith(".json"))
-                raise ProcessorProfileError(f"processor {source!r}: not one of {', '.join(ours)}")
-            text = file.read_text(encoding="utf-8")
-            where = f"{source}.json"
-        try:
-            document = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise ProcessorProfileError(f"{where}: line {error.lineno}: {error.msg}") from error
-        return _from_document(document, where)
+        return ProcessorProfile(load_table(source))
+
+
+def _report(exact: Mapping[str, float]) -> CycleReport:
+    by_stage = {stage: round(value) for stage, value in exact.items()}
+    return CycleReport(by_stage, sum(by_stage.values()))
 
 
 @dataclass(frozen=True)
@@ -147,28 +204,3 @@ class CycleBudget:
         """
         left = 0.9 * self.cycles - self.processor.cycles(spent).total
         return max(left, 0.5 * self.cycles)
-
-
-def _from_document(document: Any, where: str) -> ProcessorProfile:
-    if not isinstance(document, dict) or not isinstance(document.get("counts"), dict):
-        raise ProcessorProfileError(f"{where}: key 'counts' must be a table of coefficients")
-    clock_hz = document.get("clock_hz")
-    if not isinstance(clock_hz, int) or isinstance(clock_hz, bool):
-        raise ProcessorProfileError(f"{where}: key 'clock_hz' must be a whole number of Hz")
-    coefficients = {}
-    for name, entry in document["counts"].items():
-        try:
-            coefficients[name] = Coefficient(
-                float(entry["core_cycles"]),
-                float(entry["memory_cycles"]),
-                str(entry["evidence"]),
-                str(entry["source"]),
-            )
-        except (TypeError, KeyError, ValueError) as error:
-            raise ProcessorProfileError(
-                f"{where}: counts.{name}: core_cycles, memory_cycles (numbers), evidence, source are needed"
-            ) from error
-    try:
-        return ProcessorProfile(clock_hz, coefficients, str(document.get("name", where)))
-    except ProcessorProfileError as error:
-        raise ProcessorProfileError(f"{where}: {error}") from error

@@ -218,6 +218,8 @@ class ParameterId(IntEnum):
     PIPELINED = 19
     CLOCK_HZ = 20
     BOOT_COUNT = 21
+    CACHE_KIB = 22
+    LINE_FILL = 23
 
 
 class MemoryId(IntEnum):

@@ -92,6 +92,9 @@ HOUSEKEEPING_TABLE: tuple[HousekeepingDefinition, ...] = (
             Field("margin_us", INT32, "us", meaning="time left at the end of processing; negative when late"),
             Field("worst_cycles", UINT32, "cycle", meaning="largest total since start or CLEAR_COUNTERS"),
             Field("clock_hz", UINT32, "Hz", meaning="clock of the processor"),
+            Field("cycles_memory", UINT32, "cycle", meaning="of cycles_total, waiting for the memory"),
+            Field("cache_kib", UINT8, "KiB", meaning="size of each cache, 0: caches off"),
+            Field("line_fill", UINT8, meaning="time of a cache line's fill: 0 low, 1 nominal, 2 high"),
         ),
     ),
     HousekeepingDefinition(

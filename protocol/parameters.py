@@ -151,6 +151,22 @@ PARAMETER_TABLE: tuple[ParameterDefinition, ...] = (
     ),
     ParameterDefinition(_P.CLOCK_HZ, UINT32, "Hz", 1_000_000, 2_000_000_000, "clock of the processor"),
     ParameterDefinition(_P.BOOT_COUNT, UINT16, "", 0, 65_535, "starts of the unit so far", read_only=True),
+    ParameterDefinition(
+        _P.CACHE_KIB,
+        UINT8,
+        "KiB",
+        0,
+        32,
+        "size of the instruction cache and of the data cache: 32, 16, 8, 4; 0: caches off",
+    ),
+    ParameterDefinition(
+        _P.LINE_FILL,
+        UINT8,
+        "",
+        0,
+        2,
+        "time that the memory takes to fill a cache line: 0 low, 1 nominal, 2 high",
+    ),
 )
 
 PARAMETERS: dict[int, ParameterDefinition] = {int(parameter.id): parameter for parameter in PARAMETER_TABLE}

@@ -11,6 +11,7 @@ import numpy as np
 
 from .errors import ConfigurationError
 from .firmware_model.configuration import CentroidError, FirmwareConfiguration, StarTables
+from .firmware_model.cycle_table import LINE_FILLS, ProcessorProfileError, load_table
 from .firmware_model.geometry import CameraGeometry
 from .firmware_model.identification.algorithms import ALGORITHMS
 from .firmware_model.identification.interface import (
@@ -19,7 +20,7 @@ from .firmware_model.identification.interface import (
     MultiPolesParameters,
 )
 from .firmware_model.image.detection import DetectionParameters
-from .firmware_model.processor import CycleBudget, ProcessorProfile, ProcessorProfileError
+from .firmware_model.processor import CycleBudget, ProcessorProfile
 from .firmware_model.tracking import TrackingParameters
 from .profile import UnitProfile
 from .scenario import (
@@ -201,11 +202,28 @@ def processor_profile(profile: UnitProfile) -> ProcessorProfile:
         ConfigurationError: no such table of cycle costs, or one that cannot be used.
     """
     try:
-        return ProcessorProfile.load(profile.processor.cycle_costs).with_clock(profile.processor.clock_hz)
+        table = load_table(profile.processor.cycle_costs)
     except ProcessorProfileError as error:
         raise ConfigurationError(
             f"{profile.origin or profile.name}: processor.cycle_costs: {error}"
         ) from error
+    unit = profile.processor
+    try:
+        return ProcessorProfile(table, unit.clock_hz, unit.cache_kib, unit.line_fill)
+    except ProcessorProfileError as error:
+        raise ConfigurationError(f"{profile.origin or profile.name}: processor: {error}") from error
+
+
+def processor_in_force(
+    processor: ProcessorProfile, parameters: Mapping[str, float | int]
+) -> ProcessorProfile:
+    """The unit's processor at the clock and with the cache and memory of the on-board parameters."""
+    return ProcessorProfile(
+        processor.table,
+        int(parameters["clock_hz"]),
+        int(parameters["cache_kib"]),
+        LINE_FILLS[int(parameters["line_fill"])],
+    )
 
 
 @lru_cache(maxsize=4)
@@ -233,7 +251,7 @@ def cycle_budget(profile: UnitProfile, parameters: Mapping[str, float | int]) ->
     budget_ns = profile.frame_period_ns
     if not parameters["pipelined"]:
         budget_ns -= int(parameters["exposure_us"]) * 1000 + round(profile.timing.readout_ms * 1_000_000)
-    processor = processor_profile(profile).with_clock(int(parameters["clock_hz"]))
+    processor = processor_in_force(processor_profile(profile), parameters)
     return CycleBudget(processor, max(0, budget_ns) * processor.clock_hz // 1_000_000_000)
 
 

@@ -113,6 +113,8 @@ class Timing(Section):
 class Processor(Section):
     clock_hz: Annotated[int, Field(ge=1_000_000, le=2_000_000_000)]
     cycle_costs: str
+    cache_kib: Literal[32, 16, 8, 4, 0] = 32
+    line_fill: Literal["low", "nominal", "high"] = "nominal"
     memory_mbyte: Positive
 
 

@@ -18,6 +18,7 @@ from .firmware_model.configuration import StarTables
 from .firmware_model.firmware import FirmwareState
 from .firmware_model.modes import Mode, ModeEvent, next_mode
 from .firmware_model.reasons import Reason
+from .firmware_model.work import Work
 from .onboard.attitude_report import IDENTITY, attitude_fields
 from .onboard.can_services import CanServices
 from .onboard.counters import FrameCounters, LinkCounters, saturated
@@ -118,6 +119,7 @@ class StarTracker:
         self._life = 0  # counts starts; an action scheduled in an earlier life is void
         self._time_request: Request | None = None
         self._acquisition_request: Request | None = None
+        self._received_bytes = 0  # not yet in the work of a frame
         self._going_down = False
         self.store_fault: StoreInvalidCause | None = None
 
@@ -287,6 +289,7 @@ class StarTracker:
 
     def bytes_received(self, count: int) -> None:
         self.link_counters.rx_bytes += count
+        self._received_bytes += count
 
     def packet_received(self, raw: bytes, last_bit_ns: int) -> None:
         latency_ns = self.profile.timing.telecommand_latency_us * NS_PER_US
@@ -351,6 +354,12 @@ class StarTracker:
 
     def frame_settings(self) -> FrameSettings:
         return self.parameters.frame_settings()
+
+    def link_work(self) -> Work:
+        work = self.transmitter.take_work()
+        work.add("telecommand_bytes", self._received_bytes)
+        self._received_bytes = 0
+        return work
 
     def onboard_tai_ns(self, t_ns: int) -> int | None:
         return self.time.tai_ns(t_ns) if self.time.synchronised else None

@@ -165,7 +165,8 @@ STRUCTURES = {
     "bad_parameters:H rx_bytes:I tx_bytes:I tx_packets:I tx_queue_bytes:I",
     3: "frame_index:I cycles_total:I cycles_budget:I cycles_threshold:I cycles_clustering:I "
     "cycles_centroid:I cycles_identification:I cycles_tracking:I cycles_attitude:I "
-    "cycles_telemetry:I margin_us:i worst_cycles:I clock_hz:I",
+    "cycles_telemetry:I margin_us:i worst_cycles:I clock_hz:I cycles_memory:I "
+    "cache_kib:B line_fill:B",
     4: "bitrate:I bus_load:H can_state:B transmit_error_count:H receive_error_count:H tx_frames:I "
     "rx_frames:I error_frames:H bus_off_count:H arbitration_lost:I tx_refused:H cyclic_overruns:H "
     "pdus_sent:I pdus_received:I transmissions_failed:H receptions_failed:H frames_ignored:H timeouts_a:H "

@@ -2,6 +2,8 @@
 
 The frame grid runs from power-on with the unit's period. A frame's parameters are latched at its exposure
 start. Its processing starts when it is read out and ends when its cycles are spent; then its result counts.
+The processor also builds telemetry and takes telecommands in: what it did of that since the frame before
+counts into a frame. ASSUMED: all of it, although some is done while the processor has no frame to work on.
 A frame that needs more cycles than its budget is late, and a frame whose read-out finds the processor still
 busy is dropped. Without overlap (``pipelined`` 0) a frame is not even exposed while the processor is busy.
 
@@ -22,6 +24,7 @@ from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, 
 from ..firmware_model.image.frame import Frame
 from ..firmware_model.modes import Mode
 from ..firmware_model.processor import CycleReport, ProcessorProfile
+from ..firmware_model.work import Work
 from ..protocol.enumerations import FrameDropCause
 
 
@@ -80,6 +83,7 @@ class FrameRecord:
     pixels: Frame | None
     computation: Deferred | None = None
     result: FrameResult | None = None
+    work: Work | None = None
     cycles: CycleReport | None = None
     due_ns: int | None = None
     late_ns: int = 0
@@ -98,6 +102,10 @@ class ImagingClient(Protocol):
         """A frame period begins (also when no frame is taken)."""
 
     def frame_settings(self) -> FrameSettings: ...
+
+    def link_work(self) -> Work:
+        """Work of telemetry and telecommands since the last call: the processor's, like the frame's."""
+        ...
 
     def onboard_tai_ns(self, t_ns: int) -> int | None:
         """On-board TAI at a virtual time, or None while it is not set."""
@@ -188,6 +196,8 @@ class Imaging:
         start_ns = self._clock.now_ns
         self._clock.at(start_ns + self.period_ns, lambda: self._tick(index + 1))
         self._client.frame_started(index)
+        if self._previous is None:
+            self._client.link_work()  # done while the processor had nothing else to do
         if self._acquisition is None and not self._capture_wanted:
             return
         settings = self._client.frame_settings()
@@ -251,7 +261,8 @@ class Imaging:
         result: FrameResult = record.computation.result()
         record.computation = None
         record.result = result
-        record.cycles = record.settings.processor.cycles(result.work)
+        record.work = result.work + self._client.link_work()
+        record.cycles = record.settings.processor.cycles(record.work)
         processing_ns = record.settings.processor.duration_ns(record.cycles.total)
         record.due_ns = record.readout_end_ns + processing_ns
         record.late_ns = max(0, processing_ns - self._budget_ns(record.settings))

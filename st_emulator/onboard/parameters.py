@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ..configuration import firmware_configuration, processor_profile
+from ..configuration import firmware_configuration, processor_in_force, processor_profile
+from ..firmware_model.cycle_table import LINE_FILLS
 from ..profile import UnitProfile
 from ..protocol.enumerations import FailureCode, ParameterId, StoreInvalidCause
 from ..protocol.parameters import PARAMETER_TABLE
@@ -39,6 +40,8 @@ def default_parameters(profile: UnitProfile) -> dict[str, float | int]:
         "autonomous_start": 0,
         "pipelined": int(profile.timing.pipelined),
         "clock_hz": profile.processor.clock_hz,
+        "cache_kib": profile.processor.cache_kib,
+        "line_fill": LINE_FILLS.index(profile.processor.line_fill),
     }
     return {name: BY_NAME[name].as_carried(value) for name, value in values.items()}
 
@@ -72,6 +75,8 @@ class Parameters:
         definition = BY_NAME.get(name)
         if definition is None or definition.read_only or definition.violation(value) is not None:
             return False
+        if name == "cache_kib":
+            return value in self._processor.table.caches_kib
         return name != "exposure_us" or value <= self._profile.timing.frame_period_ms * 1000
 
     def stored_fault(self) -> StoreInvalidCause | None:
@@ -122,7 +127,7 @@ class Parameters:
         if self._settings is None:
             self._settings = FrameSettings(
                 configuration=firmware_configuration(self._profile, self._values),
-                processor=self._processor.with_clock(int(self._values["clock_hz"])),
+                processor=processor_in_force(self._processor, self._values),
                 pipelined=bool(self._values["pipelined"]),
                 report=bool(self._values["attitude_report"]),
             )

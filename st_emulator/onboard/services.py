@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ..clock import NS_PER_MS, NS_PER_S, ScheduledEvent
+from ..clock import NS_PER_MS, ScheduledEvent
 from ..firmware_model.modes import Mode, ModeEvent, next_mode
 from ..protocol.enumerations import (
     CanState,
@@ -24,8 +24,8 @@ from ..protocol.enumerations import (
 from ..protocol.housekeeping import HOUSEKEEPING
 from ..protocol.packets import CucTime, Telecommand, crc16_ccitt
 from .counters import saturated
-from .imaging import microseconds
 from .requests import Handler, RejectedError, Request
+from .timing import timing_fields
 
 if TYPE_CHECKING:
     from ..unit import StarTracker
@@ -238,32 +238,8 @@ class Services:
         unit = self._unit
         record = unit.last_frame
         settings = record.settings if record is not None else unit.parameters.frame_settings()
-        budget = unit.imaging.budget_cycles(settings)
-        clock_hz = settings.processor.clock_hz
-        cycles = record.cycles if record is not None else None
-        by_stage = cycles.by_stage if cycles is not None else {}
-        total = cycles.total if cycles is not None else 0
-        margin_us = microseconds((budget - total) * NS_PER_S // clock_hz)
-        values = {
-            f"cycles_{stage}": saturated(by_stage.get(stage, 0), 32)
-            for stage in (
-                "threshold",
-                "clustering",
-                "centroid",
-                "identification",
-                "tracking",
-                "attitude",
-                "telemetry",
-            )
-        }
-        return values | {
-            "frame_index": record.index if record is not None else 0,
-            "cycles_total": saturated(total, 32),
-            "cycles_budget": saturated(budget, 32),
-            "margin_us": max(-(1 << 31), min(margin_us, (1 << 31) - 1)),
-            "worst_cycles": saturated(unit.frame_counters.worst_cycles, 32),
-            "clock_hz": clock_hz,
-        }
+        budget_cycles = unit.imaging.budget_cycles(settings)
+        return timing_fields(record, settings, budget_cycles, unit.frame_counters.worst_cycles)
 
     def _can(self) -> dict[str, int]:
         """On the serial line there is no bus, and nothing is counted."""

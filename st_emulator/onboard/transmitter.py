@@ -8,6 +8,7 @@ from collections import defaultdict
 from typing import Any
 
 from ..clock import VirtualClock
+from ..firmware_model.work import Work
 from ..protocol.registry import REGISTRY, encode_telemetry
 from ..wire.port import UnitPort
 from .onboard_time import OnboardTime
@@ -23,7 +24,7 @@ class Transmitter:
     """Builds and queues the unit's telemetry. A packet that finds the queue full is lost, never half sent.
 
     ``packets`` and ``bytes`` count what was queued, ``lost_packets`` what was lost since the last
-    :meth:`take_lost`.
+    :meth:`take_lost`; ``work`` is that of building packets, lost ones too, since the last :meth:`take_work`.
     """
 
     def __init__(
@@ -39,6 +40,7 @@ class Transmitter:
         self.packets = 0
         self.bytes = 0
         self.lost_packets = 0
+        self.work = Work()
 
     def reset(self) -> None:
         """Sequence and message counts start anew; what waits in the port is lost."""
@@ -46,6 +48,7 @@ class Transmitter:
         self._sequence_count = 0
         self._message_counts.clear()
         self.lost_packets = 0
+        self.work = Work()
 
     def clear_counters(self) -> None:
         self.packets = self.bytes = 0
@@ -59,6 +62,11 @@ class Transmitter:
         """How many packets were lost since the last call."""
         lost, self.lost_packets = self.lost_packets, 0
         return lost
+
+    def take_work(self) -> Work:
+        """The work since the last call."""
+        work, self.work = self.work, Work()
+        return work
 
     def send(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool:
         """Queue the telemetry message ``name``; False when the queue was full and the packet is lost.
@@ -78,6 +86,10 @@ class Transmitter:
             time=self._time.cuc(self._clock.now_ns),
             time_status=int(self._time.status),
         )
+        self.work.add("telemetry_bytes", len(packet))
+        self.work.add("crc_bytes", len(packet))
+        if isinstance(fields.get("data"), bytes):  # a copy of an image or of memory
+            self.work.add("image_bytes", len(fields["data"]))
         # Both counters go on for a lost packet, so that the receiver sees the gap.
         self._sequence_count = (self._sequence_count + 1) & 0x3FFF
         self._message_counts[kind] = (self._message_counts[kind] + 1) & 0xFFFF
