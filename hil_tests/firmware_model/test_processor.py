@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from hypothesis import strategies as st
 from st_emulator.firmware_model.processor import (
     EVIDENCE,
     Coefficient,
+    CycleTable,
+    MemoryTiming,
     ProcessorProfile,
     ProcessorProfileError,
 )
@@ -24,7 +27,8 @@ OURS = "arm926ej_s_provisional"
 def flat_profile(clock_hz: int = 1000, **special: float) -> ProcessorProfile:
     """One core cycle for each count but those named."""
     cost = {name: special.get(name, 1.0) for name in COUNTS}
-    return ProcessorProfile(clock_hz, {n: Coefficient(c, 0.0, "assumed", "test") for n, c in cost.items()})
+    coefficients = {n: Coefficient(c, {32: 0.0}, "assumed", "test") for n, c in cost.items()}
+    return ProcessorProfile(CycleTable("flat", clock_hz, coefficients))
 
 
 def test_cycles_are_counts_times_coefficients_by_stage() -> None:
@@ -45,7 +49,7 @@ def test_the_total_is_the_sum_of_the_stages(counts: dict[str, int]) -> None:
     report = profile.cycles(Work(counts))
     assert report.total == sum(report.by_stage.values())
     exact = sum(
-        number * (profile.coefficients[name].core_cycles + profile.coefficients[name].memory_cycles)
+        number * (profile.coefficients[name].core_cycles + 48 * profile.coefficients[name].line_fills[32])
         for name, number in counts.items()
     )
     assert abs(report.total - exact) <= 0.5 * len(STAGES)
@@ -59,29 +63,86 @@ def test_duration_is_rounded_up() -> None:
     assert profile.with_clock(200_000_000).duration_ns(1) == 5
 
 
-def test_the_provisional_profile_reproduces_its_trial_figures() -> None:
-    """The figures on the left were measured; the coefficients must give them back."""
-    profile = ProcessorProfile.load(OURS)
-    c = profile.coefficients
-    assert profile.clock_hz == 400_000_000
-    # threshold byte by byte: 9.0 core; 10.5 in all for one byte a pixel
-    assert c["threshold_pixels"].core_cycles == 9.0
-    assert c["threshold_pixels"].core_cycles + c["threshold_pixels"].memory_cycles / 2 == 10.5
-    # centre of mass of a star of 9 px: 888 core, 1107 in all (cold pixels: 22.9 in all)
-    assert c["centroid_stars"].core_cycles + 9 * c["centroid_pixels"].core_cycles == pytest.approx(888, abs=1)
-    star = c["centroid_stars"]
-    assert star.core_cycles + star.memory_cycles + 9 * 22.9 == pytest.approx(1107, abs=1)
-    # Jacobi 375k, CRC 14.5 a byte, run 125 core and 140 to 153 in all
-    assert c["qmethod_solves"].core_cycles + c["qmethod_solves"].memory_cycles == 375_000
-    assert c["crc_bytes"].core_cycles + c["crc_bytes"].memory_cycles == 14.5
-    assert c["runs"].core_cycles == 125
-    assert 140 <= c["runs"].core_cycles + c["runs"].memory_cycles <= 153
+def table(**changes: Any) -> CycleTable:
+    """Every count free but two: runs, with figures of every kind, and crc_bytes, which is assumed."""
+    free = Coefficient(0.0, {32: 0.0, 16: 0.0}, "calibrated", "test", accesses=0.0)
+    coefficients = dict.fromkeys(COUNTS, free) | {
+        "runs": Coefficient(100.0, {32: 0.5, 16: 2.0}, "calibrated", "test", 3.0, {32: 0.04}, 40.0),
+        "crc_bytes": Coefficient(10.0, {32: 0.0, 16: 0.0}, "assumed", "test", 5.0, accesses=4.0),
+    }
+    memory = MemoryTiming(
+        {"low": 60.0, "nominal": 120.0, "high": 180.0}, {"low": 50.0, "nominal": 100.0, "high": 200.0}
+    )
+    return CycleTable("mine", 400_000_000, coefficients, memory, 0.1, **changes)
 
 
-def test_each_provisional_coefficient_carries_its_evidence() -> None:
+WORK = Work({"runs": 1000, "crc_bytes": 100})
+
+
+def test_the_memory_keeps_its_time_when_the_clock_changes() -> None:
+    profile = ProcessorProfile(table())
+    # 1000 runs: 100,000 core cycles and 500 fills of 120 ns, 60,000 ns
+    assert profile.cycles(WORK).total == 101_000 + 500 * 48
+    slow = profile.with_clock(100_000_000)
+    assert slow.cycles(WORK).total == 101_000 + 500 * 12
+    assert slow.duration_ns(slow.cycles(WORK).total) == 1_010_000 + 60_000
+    parts = profile.parts(WORK)
+    assert parts["runs"] == pytest.approx((100_000.0, 24_000.0))
+    assert parts["crc_bytes"] == (1000.0, 0.0)
+
+
+@pytest.mark.parametrize(("line_fill", "cycles"), [("low", 24), ("nominal", 48), ("high", 72)])
+def test_line_fills_take_what_the_memory_takes(line_fill: str, cycles: int) -> None:
+    profile = ProcessorProfile(table()).with_line_fill(line_fill)
+    assert profile.line_fill_cycles == pytest.approx(cycles)
+    assert profile.cycles(WORK).by_stage["clustering"] == 100_000 + 500 * cycles
+
+
+def test_smaller_caches_miss_more_and_none_pays_each_access() -> None:
+    profile = ProcessorProfile(table())
+    assert profile.cache_kib == 32
+    assert table().caches_kib == (32, 16, 0)
+    assert profile.with_cache(16).cycles(WORK).by_stage["clustering"] == 100_000 + 2000 * 48
+    # 100 ns an access, 40 cycles
+    assert profile.with_cache(0).cycles(WORK).by_stage["clustering"] == 100_000 + 1000 * 40 * 40
+    with pytest.raises(ProcessorProfileError, match="mine: cache_kib 8: none of 32, 16, 0"):
+        profile.with_cache(8)
+    with pytest.raises(ProcessorProfileError, match="line_fill 'fast': none of low, nominal, high"):
+        profile.with_line_fill("fast")
+
+
+def test_bounds_hold_the_model_the_memory_and_two_sigma_of_the_fit() -> None:
+    low, high = ProcessorProfile(table()).bounds(WORK)
+    # runs: sigma of core 3, of fills 0.04 of 48 cycles, each 1000 times
+    spread = 2 * 1000 * math.hypot(3.0, 0.04 * 48)
+    assert low.by_stage["clustering"] == round(90_000 + 500 * 24 - spread)
+    assert high.by_stage["clustering"] == round(110_000 + 500 * 72 + spread)
+    assert high.by_stage["telemetry"] == 1100 + 2 * 500
+    assert low.total == sum(low.by_stage.values())
+    low, high = ProcessorProfile(table()).bounds(Work({"crc_bytes": 1}))
+    assert (low.total, high.total) == (0, 21)  # 9 - 10 is none; 11 + 10
+
+
+@given(st.dictionaries(st.sampled_from(sorted(COUNTS)), st.integers(0, 10**7)))
+def test_cycles_lie_between_their_bounds(counts: dict[str, int]) -> None:
     profile = ProcessorProfile.load(OURS)
-    assert {c.evidence for c in profile.coefficients.values()} == set(EVIDENCE)
-    assert all(len(c.source) > 10 for c in profile.coefficients.values())
+    low, high = profile.bounds(Work(counts))
+    report = profile.cycles(Work(counts))
+    for stage in STAGES:
+        assert low.by_stage[stage] <= report.by_stage[stage] <= high.by_stage[stage]
+
+
+def test_the_uncertainty_is_a_sentence_to_print() -> None:
+    text = ProcessorProfile(table()).uncertainty
+    assert "+-10%" in text
+    assert "24/48/72 cycles" in text
+    assert "factor of 2" in text
+
+
+def test_each_of_our_coefficients_carries_its_evidence() -> None:
+    coefficients = ProcessorProfile.load(OURS).coefficients
+    assert {c.evidence for c in coefficients.values()} <= set(EVIDENCE)
+    assert all(len(c.source) > 10 for c in coefficients.values())
 
 
 def document() -> dict[str, Any]:
@@ -95,7 +156,7 @@ def test_a_users_own_profile_is_a_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(document()))
     profile = ProcessorProfile.load(str(path))
-    assert (profile.name, profile.clock_hz) == ("mine", 123)
+    assert (profile.name, profile.clock_hz, profile.cache_kib) == ("mine", 123, 32)
     assert profile.cycles(Work({"runs": 4})).total == 6
 
 
@@ -120,11 +181,28 @@ GOOD = {"core_cycles": 1, "memory_cycles": 0, "evidence": "trial", "source": "x"
         (json.dumps({"counts": {}}), "'clock_hz'"),
         (json.dumps({"counts": {}, "clock_hz": True}), "'clock_hz'"),
         (json.dumps({**document(), "clock_hz": 0}), "clock_hz"),
+        (json.dumps({**document(), "memory": {"line_fill_ns": {"low": 1}}}), "memory needs line_fill_ns"),
+        (
+            json.dumps(
+                {
+                    **document(),
+                    "memory": {
+                        "line_fill_ns": {"low": 9, "nominal": 2, "high": 3},
+                        "access_ns": {"low": 1, "nominal": 2, "high": 3},
+                    },
+                }
+            ),
+            "ascending",
+        ),
+        (json.dumps({**document(), "model_uncertainty": {"core": 3}}), "model_uncertainty.core"),
         (json.dumps(without(document(), "runs")), "without a coefficient: runs;"),
         (json.dumps(with_count(document(), "sprints", GOOD)), "unknown counts: sprints"),
         (json.dumps(with_count(document(), "runs", 3)), "counts.runs"),
         (json.dumps(with_count(document(), "runs", {**GOOD, "core_cycles": "many"})), "counts.runs"),
-        (json.dumps(with_count(document(), "runs", {**GOOD, "core_cycles": -1})), "runs: cycles must be"),
+        (
+            json.dumps(with_count(document(), "runs", {**GOOD, "core_cycles": -1})),
+            "runs: every figure must be",
+        ),
         (json.dumps(with_count(document(), "runs", {**GOOD, "evidence": "hope"})), "'hope'"),
     ],
 )

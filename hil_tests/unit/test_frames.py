@@ -55,18 +55,51 @@ def test_an_attitude_leaves_when_its_cycles_are_spent(bench: Bench) -> None:
     assert frames == list(range(frames[0], frames[0] + len(frames)))
 
 
-def test_half_the_clock_takes_twice_the_time(new_bench: MakeBench) -> None:
+def test_half_the_clock_doubles_the_core_and_leaves_the_memory(new_bench: MakeBench) -> None:
     seen: dict[int, dict[int, dict[str, Any]]] = {}
+    memory_cycles: dict[int, int] = {}
+    last = 0
     for clock_hz in (400_000_000, 200_000_000):
         bench = new_bench(parameters={"clock_hz": clock_hz}).boot()
         bench.to_mode("TRACKING")
         bench.run(1000)
+        values = bench.housekeeping(3)
+        last, memory_cycles[clock_hz] = values["frame_index"], values["cycles_memory"]
         seen[clock_hz] = {p.fields["frame_index"]: p.fields for p in reports(bench)}
     for frame, fast in seen[400_000_000].items():
         slow = seen[200_000_000][frame]
-        assert slow["cycles"] == fast["cycles"]
         fixed_us = (EXPOSURE_NS / 2 + READOUT_NS) / 1e3
-        assert slow["latency_us"] - fixed_us == pytest.approx(2 * (fast["latency_us"] - fixed_us), abs=2)
+        for fields, cycle_us in ((fast, 1 / 400), (slow, 1 / 200)):
+            assert fields["latency_us"] - fixed_us == pytest.approx(fields["cycles"] * cycle_us, abs=2)
+        assert slow["cycles"] < fast["cycles"] < 2 * slow["cycles"]
+    # The memory's nanoseconds are half the cycles of half the clock; what is left is the core's.
+    assert memory_cycles[400_000_000] == pytest.approx(2 * memory_cycles[200_000_000], abs=2)
+    fast, slow = seen[400_000_000][last], seen[200_000_000][last]
+    core = fast["cycles"] - memory_cycles[400_000_000]
+    assert core == pytest.approx(slow["cycles"] - memory_cycles[200_000_000], abs=8)
+
+
+@pytest.mark.parametrize(("name", "value"), [("line_fill", 2), ("cache_kib", 4)])
+def test_a_slower_memory_or_a_smaller_cache_takes_longer(new_bench: MakeBench, name: str, value: int) -> None:
+    cycles = []
+    for parameters in ({}, {name: value}):
+        bench = new_bench(parameters=parameters).boot()
+        bench.to_mode("TRACKING")
+        bench.run(500)
+        values = bench.housekeeping(3)
+        assert values[name] == parameters.get(name, {"line_fill": 1, "cache_kib": 32}[name])
+        cycles.append(values["cycles_memory"])
+    assert cycles[1] > (1.4 if name == "line_fill" else 1.0) * cycles[0]
+
+
+def test_telemetry_loads_the_processor(new_bench: MakeBench) -> None:
+    quiet, busy = (new_bench(parameters={"attitude_report": report}).boot() for report in (0, 1))
+    cycles = []
+    for bench in (quiet, busy):
+        bench.to_mode("TRACKING")
+        bench.run(2000)
+        cycles.append(bench.housekeeping(3)["cycles_telemetry"])
+    assert cycles[1] > cycles[0] + 1000  # a report is 148 bytes
 
 
 def test_timing_structure_adds_up(bench: Bench) -> None:

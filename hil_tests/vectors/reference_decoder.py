@@ -200,7 +200,7 @@ EVENTS = {  # number: (subservice of service 5, layout)
     23: (2, "reason:B packets:H"),
 }
 
-PARAMETERS = dict(enumerate("IfBBffBffBBHBfffBBBIH", start=1))
+PARAMETERS = dict(enumerate("IfBBffBffBBHBfffBBBIHBB", start=1))
 
 FUNCTIONS = {
     4: "kind:B",
