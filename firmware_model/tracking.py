@@ -174,6 +174,7 @@ def plan_windows(
             "predicted_stars_tested": len(neighbours),
             "predicted_stars_projected": len(inside),
             "windows_planned": compared,
+            "tracking_plans": 1,
             "aberrated_stars": len(neighbours) if velocity_over_c.any() else 0,
         }
     )
@@ -245,7 +246,7 @@ def verify_by_pivot(
     ASSUMED: a pivot works when at least half of the stars that could have a spot verify with it (and
         min_stars in all): a false pivot that fits two false spots by chance is then passed over.
     """
-    counts = np.zeros(3, np.int64)
+    counts = np.zeros(4, np.int64)
     spot = np.empty(len(plan.star), np.int32)
     pivot, verified, stars_found = _verify_kernel(
         plan.reference,
@@ -265,7 +266,12 @@ def verify_by_pivot(
         counts,
     )
     work = Work(
-        {"angles_verified": int(counts[0]), "pivots_tried": int(counts[1]), "spots_assigned": int(counts[2])}
+        {
+            "angles_verified": int(counts[0]),
+            "pivots_tried": int(counts[1]),
+            "spots_assigned": int(counts[2]),
+            "reference_angles": int(counts[3]),
+        }
     )
     return Verification(spot, int(pivot), int(verified), int(stars_found)), work
 
@@ -344,6 +350,7 @@ def _verify_kernel(
                         continue
                     if angle < 0.0:
                         angle = _chord(reference, pivot, reference, star)
+                        counts[3] += 1
                     counts[0] += 1
                     if not abs(_chord(b, pivot_spot, b, spot) - angle) <= tolerance_rad:
                         continue

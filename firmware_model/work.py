@@ -44,7 +44,9 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("noise_samples", "threshold", "pixel pair whose difference goes into the noise estimate, all passes"),
     ("background_pixels", "threshold", "pixel added to the moving average of the background"),
     ("threshold_pixels", "threshold", "pixel compared with the threshold, full frame"),
-    ("window_pixels", "threshold", "pixel of a detection window: background, smoothing and threshold"),
+    ("window_samples", "threshold", "pixel of a detection window counted into the medians of its statistics"),
+    ("window_noise_pixels", "threshold", "pixel of a detection window in one pass of its mean and noise"),
+    ("window_pixels", "threshold", "pixel of a detection window smoothed and compared with the threshold"),
     ("windows", "threshold", "detection window set up"),
     # clustering
     ("runs", "clustering", "run of pixels over threshold put into the run table"),
@@ -74,11 +76,13 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("spots_confirmed", "identification", "further spot matched to a catalogue star"),
     ("trial_stars_projected", "identification", "catalogue star projected with a trial attitude"),
     # tracking
+    ("tracking_plans", "tracking", "plan of windows begun: attitude matrix, cone of the neighbours"),
     ("neighbours_read", "tracking", "entry of the neighbour table read"),
     ("predicted_stars_tested", "tracking", "catalogue star rotated, four-plane test R (3)-(4)"),
     ("predicted_stars_projected", "tracking", "predicted star projected to pixels"),
     ("windows_planned", "tracking", "window sized, clipped, compared with one other for merging"),
     ("angles_verified", "tracking", "angle between two spots compared with the catalogue's, R step 5"),
+    ("reference_angles", "tracking", "angle between the pivot and another predicted star computed"),
     ("pivots_tried", "tracking", "star tried as pivot"),
     ("spots_assigned", "tracking", "distance of a spot to a predicted star computed"),
     # attitude

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NOISE_SAMPLES", "frame_statistics", "window_statistics"]
+__all__ = ["NOISE_SAMPLES", "frame_statistics", "window_samples", "window_statistics"]
 
 # ASSUMED: 4096 pairs give the noise of a frame within 1.1 %, 1 / sqrt(2 * 4096); more would cost time.
 NOISE_SAMPLES = 4096
@@ -73,20 +73,18 @@ def frame_statistics(image: NDArray[np.uint16]) -> tuple[float, float, int]:
 
 
 @numba.njit(cache=True, nogil=True)
-def window_statistics(window: NDArray[np.uint16], scratch: NDArray[np.float64]) -> tuple[float, float]:
-    """Background and noise (DN, 1 sigma) of a detection window.
+def window_statistics(window: NDArray[np.uint16], scratch: NDArray[np.float64]) -> tuple[float, float, int]:
+    """Background and noise (DN, 1 sigma) of a detection window, and the number of passes over its pixels.
 
-    Median and median absolute deviation of at most 256 pixels start; then mean and r.m.s. of the pixels
-    within 4 sigma, until it settles (2 %, at most 12 times). From below, a star in a small window does not
-    count; and with 4 sigma the noise still grows to its full width where half of a distribution is missing
-    (a converter that clips at 0 DN).
+    Median and median absolute deviation of ``window_samples`` pixels start; then mean and r.m.s. of the
+    pixels within 4 sigma, until it settles (2 %, at most 12 times). From below, a star in a small window does
+    not count; and with 4 sigma the noise still grows to its full width where half of a distribution is
+    missing (a converter that clips at 0 DN). The sums are whole numbers, so that the mean is exact.
     ``scratch``: at least 256 float64.
     """
     rows, columns = window.shape
     size = rows * columns
-    step = (size + 255) // 256
-    if step > 1 and columns % step == 0:
-        step += 1  # or the samples would all stand in the same columns
+    step = _sample_step(size, columns)
     count = 0
     for place in range(0, size, step):
         scratch[count] = window[place // columns, place % columns]
@@ -95,24 +93,42 @@ def window_statistics(window: NDArray[np.uint16], scratch: NDArray[np.float64]) 
     for i in range(count):
         scratch[i] = abs(scratch[i] - level)
     sigma = max(1.4826 * float(np.median(scratch[:count])), 0.7)
+    passes = 0
     for _ in range(12):
-        limit = 4.0 * sigma
-        total = 0.0
-        squares = 0.0
+        low = math.ceil(level - 4.0 * sigma)
+        span = math.floor(level + 4.0 * sigma) - low
+        total = 0
+        squares = 0
         kept = 0
         for row in range(rows):
             for column in range(columns):
-                difference = float(window[row, column]) - level
-                if abs(difference) <= limit:
-                    total += difference
-                    squares += difference * difference
+                offset = np.int64(window[row, column]) - low
+                if 0 <= offset <= span:
+                    total += offset
+                    squares += offset * offset
                     kept += 1
+        passes += 1
         if kept < 2:
             break
+        level = (low * kept + total) / kept
         mean = total / kept
-        level += mean
         before = sigma
         sigma = math.sqrt(max(squares / kept - mean * mean, 0.0))
         if abs(sigma - before) <= 0.02 * before or sigma == 0.0:
             break
-    return level, sigma
+    return level, sigma, passes
+
+
+@numba.njit(cache=True, nogil=True)
+def window_samples(size: int, columns: int) -> int:
+    """How many of a window's ``size`` pixels the medians of ``window_statistics`` are of, at most 256."""
+    step = _sample_step(size, columns)
+    return (size + step - 1) // step
+
+
+@numba.njit(cache=True, nogil=True)
+def _sample_step(size: int, columns: int) -> int:
+    step = (size + 255) // 256
+    if step > 1 and columns % step == 0:
+        step += 1  # or the samples would all stand in the same columns
+    return step

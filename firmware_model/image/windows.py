@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..work import Work
 from . import centroid
-from .background import window_statistics
+from .background import window_samples, window_statistics
 from .clustering import FIRST_X, FIRST_Y, LAST_X, LAST_Y, RUN_FIELDS, SUM, join_runs, sum_clusters
 from .detection import DetectionParameters, sorting_work, spots_of_table
 from .spots import Rejections, WindowSpots, WindowStatus
@@ -105,7 +105,9 @@ def _detect_in_windows(
         columns = rects[i, 2] - rects[i, 0]
         rows = rects[i, 3] - rects[i, 1]
         window = flat[offsets[i] : offsets[i + 1]].reshape(rows, columns)
-        background[i], noise[i] = window_statistics(window, scratch)
+        background[i], noise[i], passes = window_statistics(window, scratch)
+        counts[5] += window_samples(window.size, columns)
+        counts[6] += passes * window.size
         # a 3 x 3 sum has 9 times the background and 3 times the noise of a pixel
         over = 3.0 * max(sigma_factor * noise[i], tau_min_dn)
         starts = row_start[: rows + 1]
@@ -221,7 +223,7 @@ def detect_in_windows(
             expected = -2.5 * np.log10(np.asarray(expected_flux_dn, np.float64) / limits.zero_point_dn)
     status = np.zeros(windows, np.uint8)
     background, noise = np.zeros(windows), np.zeros(windows)
-    counts = np.zeros(5, np.int64)
+    counts = np.zeros(7, np.int64)
     tally = np.zeros(centroid.TALLIES, np.int64)
     table, window_of = _detect_in_windows(
         np.ascontiguousarray(flat, np.uint16),
@@ -241,7 +243,7 @@ def detect_in_windows(
         counts,
         tally,
     )
-    runs, unions, clusters, found, overflowed = counts.tolist()
+    runs, unions, clusters, found, overflowed, samples, noise_pixels = counts.tolist()
     tallied = tally.tolist()
     rejected = Rejections(
         small=tallied[centroid.SMALL],
@@ -255,6 +257,8 @@ def detect_in_windows(
     work.counts = {
         "windows": windows,
         "window_pixels": len(flat),
+        "window_samples": samples,
+        "window_noise_pixels": noise_pixels,
         "runs": runs,
         "run_unions": unions,
         "cluster_pixels": tallied[centroid.CLUSTER_PIXELS],

@@ -221,7 +221,7 @@ def test_window_statistics_with_a_star_inside(side: int, flux_sigma: float) -> N
     star = 2.4 * flux_sigma * np.outer(profile, profile) / profile.sum() ** 2
     for _ in range(50):
         window = np.rint(100 + star + rng.normal(0, 2.4, (side, side))).astype(np.uint16)
-        level, noise = window_statistics(window, np.empty(256))
+        level, noise, _ = window_statistics(window, np.empty(256))
         levels.append(level)
         noises.append(noise)
     assert np.mean(levels) == pytest.approx(100.0, abs=0.3 * 2.4)
@@ -229,5 +229,5 @@ def test_window_statistics_with_a_star_inside(side: int, flux_sigma: float) -> N
 
 
 def test_window_statistics_of_a_constant_window() -> None:
-    assert window_statistics(np.full((9, 9), 50, np.uint16), np.empty(256)) == (50.0, 0.0)
+    assert window_statistics(np.full((9, 9), 50, np.uint16), np.empty(256)) == (50.0, 0.0, 1)
     assert window_statistics(np.full((1, 1), 50, np.uint16), np.empty(256))[0] == 50.0

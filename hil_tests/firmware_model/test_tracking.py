@@ -261,6 +261,28 @@ def test_false_spots_beside_the_stars_change_nothing() -> None:
         assert sum(right) >= len(x) - 2
 
 
+def test_verification_counts_its_angles() -> None:
+    q = random_attitude(np.random.default_rng(36))
+    plan = plan_for(SKY, q)
+    x, y, magnitude, _ = true_spots(SKY, q)
+    # a false spot beside each star of every second window
+    found = found_in(
+        plan,
+        np.concatenate([x, x[::2] + 4.0]),
+        np.concatenate([y, y[::2]]),
+        np.concatenate([magnitude, magnitude[::2] + 1.0]),
+    )
+    b = vectors_of(CAMERA, found.spots.x_px, found.spots.y_px)
+    verification, work = verify_by_pivot(plan, found, b, SKY.catalogue, PARAMETERS)
+    pivot = verification.pivot
+    others = np.arange(len(found.window)) != verification.spot[pivot]
+    spots = np.bincount(found.window[others], minlength=len(plan.rects))[plan.window]
+    spots[pivot] = 0
+    assert work["pivots_tried"] == 1
+    assert work["angles_verified"] == spots.sum() > np.count_nonzero(spots)
+    assert work["reference_angles"] == np.count_nonzero(spots)
+
+
 def test_spots_at_random_places_are_not_verified() -> None:
     rng = np.random.default_rng(35)
     parameters = replace(PARAMETERS, tolerance_rad=20 * ARCSEC)

@@ -117,6 +117,10 @@ def test_a_window_does_not_depend_on_the_others(render_stars: Render, expose: Ex
     }
     assert work["windows"] == 4
     assert work["window_pixels"] == sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in rects)
+    # every 2nd, 2nd, 4th (30 columns are divisible by 3) and 3rd pixel of 483, 441, 630 and 525
+    assert work["window_samples"] == 242 + 221 + 158 + 175
+    passes = work["window_noise_pixels"] / work["window_pixels"]
+    assert 1 <= passes <= 12
 
 
 def test_the_brightest_or_the_expected_one(render_stars: Render, expose: Expose) -> None:
