@@ -1,6 +1,6 @@
 /* Angular rate from two attitudes: rotation_between and angular_rate of firmware_model/attitude.py, and the
- * test of firmware_model/firmware.py whether the rate is too high to track. Once a frame, so in software double
- * precision; same operations as in Python, atan2 is the C library's. */
+ * test of firmware_model/firmware.py whether the rate is too high to track. Once a frame, so in software
+ * double precision; same operations as in Python, atan2 is the C library's. */
 #include "rate.h"
 
 #include <math.h>
