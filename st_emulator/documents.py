@@ -29,13 +29,23 @@ MODELLED = """\
 **Modelled.** The bytes of every packet and the time at which each leaves: the line's baud rate, ten bits
 a byte; the frame's exposure, read-out and processing time, from the work that the algorithms really did
 on that frame (pixels scanned, pairs compared, stars solved) times the cycles that each unit of work
-costs on the processor; late attitudes, dropped frames; the latency of telecommands; the non-volatile
-memory.
+costs on the processor; telemetry that it builds and telecommands that it receives; late attitudes,
+dropped frames; the latency of telecommands; the non-volatile memory.
 
-**Not modelled.** Interrupt load and direct memory access of the camera in the cycle budget; cycles that
-telecommands take from a frame; temperature (a constant); the vendor's boot loader. Cycle costs are
-estimates with their evidence in the unit's table of costs; a flight program of other authors may differ
-by a factor of two.
+**Cycles.** The cost of each unit of work is fitted to a reference program in C, compiled for the
+ARM926EJ-S and run instruction by instruction in a simulator with the instruction timings and interlocks
+of the ARM9EJ-S manual and a model of both caches (4-way, 32-byte lines, fill on a read miss, round
+robin). Core cycles and waiting for memory are kept apart: parameter CLOCK_HZ changes the core's time
+alone, CACHE_KIB the lines that are read from memory, LINE_FILL the time of one (60, 120 or 180 ns, that
+is 24, 48 or 72 cycles at 400 MHz, derived from a 133 MHz bus). The parameters change the model of the
+unit; a real unit has no such parameters. Instruction counts are exact for the pinned compiler and
+program. Core cycles are good to about 10 %, stages that stream from memory to 20 to 30 %; nothing has
+been compared with hardware, and a flight program of other authors may differ by a factor of two.
+`st-emulator budget UNIT` prints every figure with its range.
+
+**Not modelled.** In the cycles: the camera's direct memory access competing for the memory, the
+translation look-aside buffer, interrupts and the scheduler beyond a fixed cost of each frame (assumed),
+a write buffer that fills up. Elsewhere: temperature (a constant); the vendor's boot loader.
 
 **Memories** (service 6): RAM, a patch area of 65536 bytes, readable and writable; NON_VOLATILE, 2048
 bytes, the parameters that differ from the factory values as JSON text and zeros behind, read only;
