@@ -1,0 +1,114 @@
+"""Sequences of frames through the kernels on the simulated processor: samples for the fit."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import st_emulator
+from st_emulator.firmware_model.frame_trace import StepRecord
+from tools.arm_timing.errors import ArmError
+from tools.arm_timing.machine import ArmMachine
+from tools.calibration.frames import SkySequence, records_of
+from tools.calibration.registry import own_records, steps_by_name
+from tools.calibration.samples import Sample, sample_of
+from tools.calibration.steps.step import MismatchError
+
+__all__ = ["LOST_IN_SPACE", "TRACKING", "Case", "OwnSequence", "Simulated", "fingerprint", "simulate"]
+
+LOST_IN_SPACE: Final = "lost_in_space"
+TRACKING: Final = "tracking"
+
+
+@dataclass(frozen=True)
+class OwnSequence:
+    """Records that a family of kernels makes itself, as no frame has them."""
+
+    seed: int
+    number: int
+    family: str
+    records: int
+
+    def __str__(self) -> str:
+        return f"{self.family}, {self.records} records, {self.number} of {self.seed}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One sequence and its number among all of its set."""
+
+    number: int
+    sky: SkySequence | None = None
+    own: OwnSequence | None = None
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """samples: of one case; left_out: frames without their identification, which took too long.
+
+    failure: why the case was not gone on with: a kernel's output is wrong, or it cannot be run.
+    """
+
+    samples: tuple[Sample, ...]
+    left_out: tuple[int, ...] = ()
+    failure: str = ""
+
+
+def _steps_of_case(case: Case) -> Iterator[tuple[int, str, bool, StepRecord]]:
+    """(frame, kind, left out, record) of every step of a case."""
+    if case.sky is not None:
+        for frame in records_of(case.sky):
+            for record in frame.steps:
+                yield frame.frame, TRACKING if frame.tracked else LOST_IN_SPACE, frame.left_out, record
+    if case.own is not None:
+        make = own_records()[case.own.family]
+        for number, record in enumerate(make(case.own.seed * 1000 + case.own.number, case.own.records)):
+            yield number, record.step, False, record
+
+
+def simulate(elf: str, case: Case) -> Simulated:
+    """Run a case on a processor of its own, caches empty at the start: it depends on no other case.
+
+    The steps run in their order, so that each finds the caches as the one before left them.
+    """
+    steps = steps_by_name()
+    machine = ArmMachine(Path(elf))
+    samples: list[Sample] = []
+    left_out: set[int] = set()
+    for frame, kind, without, record in _steps_of_case(case):
+        if without:
+            left_out.add(frame)
+        try:
+            runs = steps[record.step].run(machine, record)
+        except (MismatchError, ArmError) as error:
+            where = f"{case.sky or case.own}, frame {frame}, step {record.step}"
+            return Simulated((), (), f"{where}: {type(error).__name__}: {error}")
+        samples += [sample_of(run, case.number, frame, kind) for run in runs]
+    return Simulated(tuple(samples), tuple(sorted(left_out)))
+
+
+@lru_cache
+def fingerprint() -> str:
+    """Hash of all that samples follow from but the kernels: units, firmware, world, simulator, bindings.
+
+    The cycle costs are not among it: no frame of the calibration depends on them.
+    """
+    package = Path(st_emulator.__file__).parent
+    here = Path(__file__).parent
+    rooms: Sequence[Path] = (
+        package,
+        package / "protocol",
+        package / "firmware_model",
+        here.parent / "arm_timing",
+    )
+    files = {path.resolve() for room in rooms for kind in ("*.py", "*.toml") for path in room.rglob(kind)}
+    files |= {here / f"{name}.py" for name in ("frames", "registry", "samples", "simulation")}
+    files |= set((here / "steps").glob("*.py"))
+    digest = hashlib.sha256()
+    for contents in sorted(hashlib.sha256(path.read_bytes()).digest() for path in files):
+        digest.update(contents)
+    return digest.hexdigest()[:16]
