@@ -65,7 +65,6 @@ from .solutions import (
 from .verification import (
     ANGLES_COMPUTED,
     CANDIDATES_MARKED,
-    COUNT_NAMES,
     KVECTOR_HITS,
     KVECTOR_QUERIES,
     MAGNITUDES_COMPARED,
@@ -73,6 +72,7 @@ from .verification import (
     TRIANGLES_TESTED,
     CountArray,
     exhausted_kernel,
+    first_counts,
     spread_kernel,
     work_of,
 )
@@ -99,11 +99,11 @@ def identify(
     """Identify spikes by the brightness-referenced algorithm; see `IdentificationAlgorithm`."""
     usable, places = usable_spikes(spikes)
     spots = len(usable)
+    counts = first_counts(len(spikes))
     if spots < 3:
-        return no_identification(len(spikes), Reason.TOO_FEW_STARS), Work()
+        return no_identification(len(spikes), Reason.TOO_FEW_STARS), work_of(counts)
     limit_mag = float(parameters.brightness.bright_limit_mag)
     solutions = no_solutions(spots)
-    counts = np.zeros(len(COUNT_NAMES), np.int64)
     outcome = _search_kernel(
         usable.b_vectors,
         usable.magnitudes,

@@ -38,13 +38,13 @@ from .interface import (
 from .verification import (
     ANGLES_COMPUTED,
     CATALOGUE_ANGLES,
-    COUNT_NAMES,
     KVECTOR_HITS,
     KVECTOR_QUERIES,
     VOTES,
     CountArray,
     exhausted_kernel,
     false_solutions_kernel,
+    first_counts,
     refine_kernel,
     separation_kernel,
     spread_kernel,
@@ -69,11 +69,11 @@ def identify(
     """Identify spots by geometric voting; see `IdentificationAlgorithm` for the contract."""
     usable, places = usable_spikes(spikes)
     spots = len(usable)
+    counts = first_counts(len(spikes))
     if spots < FEWEST_SPOTS:
-        return no_identification(len(spikes), Reason.TOO_FEW_STARS), Work()
+        return no_identification(len(spikes), Reason.TOO_FEW_STARS), work_of(counts)
     star_index = np.full(spots, -1, np.int32)
     q = np.zeros(4)
-    counts = np.zeros(len(COUNT_NAMES), np.int64)
     outcome, matched, expected, seen, chance = _voting_kernel(
         usable.b_vectors,
         usable.magnitudes,

@@ -33,7 +33,6 @@ from .interface import (
 from .verification import (
     ANGLES_COMPUTED,
     CANDIDATES_MARKED,
-    COUNT_NAMES,
     KVECTOR_HITS,
     KVECTOR_QUERIES,
     MAGNITUDES_COMPARED,
@@ -42,6 +41,7 @@ from .verification import (
     CountArray,
     exhausted_kernel,
     false_solutions_kernel,
+    first_counts,
     refine_kernel,
     separation_kernel,
     spread_kernel,
@@ -67,12 +67,12 @@ def identify(
     """
     usable, places = usable_spikes(spikes)
     spots = len(usable)
+    counts = first_counts(len(spikes))
     if spots < _FEWEST:
-        return no_identification(len(spikes), Reason.TOO_FEW_STARS), Work()
+        return no_identification(len(spikes), Reason.TOO_FEW_STARS), work_of(counts)
     ascending = np.argsort(usable.magnitudes, kind="stable")  # (34)
     star_index = np.full(spots, -1, np.int32)
     q = np.zeros(4)
-    counts = np.zeros(len(COUNT_NAMES), np.int64)
     outcome, matched, expected, seen, chance = _multi_poles_kernel(
         usable.b_vectors[ascending],
         usable.magnitudes[ascending],

@@ -51,15 +51,19 @@ from .verification import (
     ANGLES_COMPUTED,
     CANDIDATES_MARKED,
     CATALOGUE_ANGLES,
-    COUNT_NAMES,
+    CONES_SEARCHED,
+    FOURTHS_COMPARED,
     KVECTOR_HITS,
     KVECTOR_QUERIES,
     PAIRS_COMPARED,
+    PAIRS_JOINED,
     PYRAMIDS_TESTED,
+    TRIADS_JOINED,
     TRIADS_TESTED,
     TRIANGLES_TESTED,
     CountArray,
     exhausted_kernel,
+    first_counts,
     spread_kernel,
     work_of,
 )
@@ -74,10 +78,10 @@ def identify(
     """Identify spots by the pyramid algorithm; see `IdentificationAlgorithm` for the contract."""
     usable, places = usable_spikes(spikes)
     spots = len(usable)
+    counts = first_counts(len(spikes))
     if spots < _FEWEST:
-        return no_identification(len(spikes), Reason.TOO_FEW_STARS), Work()
+        return no_identification(len(spikes), Reason.TOO_FEW_STARS), work_of(counts)
     solutions = no_solutions(spots)
-    counts = np.zeros(len(COUNT_NAMES), np.int64)
     outcome = _pyramid_kernel(
         usable.b_vectors,
         usable.magnitudes,
@@ -177,6 +181,7 @@ def _fourth_kernel(
         math.acos(max(-1.0, least)),
         found,
     )
+    counts[CONES_SEARCHED] += 1
     counts[CATALOGUE_ANGLES] += tested
     fourth = spots
     star_fourth = -1
@@ -190,6 +195,7 @@ def _fourth_kernel(
             + unit_vectors[star, 2] * unit_vectors[star_i, 2]
         )
         counts[PAIRS_COMPARED] += fourth
+        counts[FOURTHS_COMPARED] += fourth
         for spot in range(fourth):
             if cosine < lowest[i, spot] or cosine > highest[i, spot] or spot in (i, j, k):
                 continue
@@ -301,7 +307,9 @@ def _pyramid_kernel(
                     head[other] = base + entry + 1
                     entry += 2
                 counts[CANDIDATES_MARKED] += 2 * entries
+                counts[TRIADS_JOINED] += 1
                 counts[PAIRS_COMPARED] += end[apex, right] - first[apex, right]
+                counts[PAIRS_JOINED] += end[apex, right] - first[apex, right]
                 volume = volume_kernel(b, apex, left, right)
                 longest = math.acos(min(1.0, min(lowest[i, j], min(lowest[i, k], lowest[j, k]))))
                 # A triangle so flat that the tolerance can turn it over has no handedness.

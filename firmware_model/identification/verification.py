@@ -37,16 +37,35 @@ COUNT_NAMES = (
     "qmethod_stars",
     "qmethod_solves",
     "jacobi_rotations",
+    "identifications",
+    "spikes_taken",
+    "cones_searched",
+    "spots_turned",
+    "spots_followed",
+    "trials_confirmed",
+    "triads_joined",
+    "pairs_joined",
+    "fourths_compared",
 )
 KVECTOR_QUERIES, KVECTOR_HITS, ANGLES_COMPUTED, PAIRS_COMPARED = range(4)
 TRIADS_TESTED, TRIANGLES_TESTED, PYRAMIDS_TESTED, CANDIDATES_MARKED, VOTES = range(4, 9)
 MAGNITUDES_COMPARED, CATALOGUE_ANGLES, SPOTS_CONFIRMED, TRIAL_STARS_PROJECTED = range(9, 13)
 QMETHOD_STARS, QMETHOD_SOLVES, JACOBI_ROTATIONS = range(13, 16)
+IDENTIFICATIONS, SPIKES_TAKEN, CONES_SEARCHED, SPOTS_TURNED, SPOTS_FOLLOWED = range(16, 21)
+TRIALS_CONFIRMED, TRIADS_JOINED, PAIRS_JOINED, FOURTHS_COMPARED = range(21, 25)
 
-OPERATIONS = 13  # the counts before this one are the stage identification's
+OPERATIONS = 13  # the counts before this one are the stage identification's steps
 
 FEW_MATCHES = 6  # below this, brightness is looked at too
 MOST_NEAR = 256  # stars near one spot: more than any catalogue holds within a tolerance
+
+
+def first_counts(spikes: int) -> CountArray:
+    """The kernels' counts at the start of an identification of so many spikes."""
+    counts = np.zeros(len(COUNT_NAMES), np.int64)
+    counts[IDENTIFICATIONS] = 1
+    counts[SPIKES_TAKEN] = spikes
+    return counts
 
 
 def work_of(counts: CountArray) -> Work:
@@ -149,11 +168,13 @@ def match_spots_kernel(
         x = a[0, 0] * b[spot, 0] + a[1, 0] * b[spot, 1] + a[2, 0] * b[spot, 2]
         y = a[0, 1] * b[spot, 0] + a[1, 1] * b[spot, 1] + a[2, 1] * b[spot, 2]
         z = a[0, 2] * b[spot, 0] + a[1, 2] * b[spot, 1] + a[2, 2] * b[spot, 2]
+        counts[SPOTS_TURNED] += 1
         star = only_star[spot]
         if radius_rad >= separation_rad and only_angle[spot] > searched_rad:
             star = -1  # never the only one for certain
         if star >= 0:
             counts[CATALOGUE_ANGLES] += 1
+            counts[SPOTS_FOLLOWED] += 1
             dx = unit_vectors[star, 0] - x
             dy = unit_vectors[star, 1] - y
             dz = unit_vectors[star, 2] - z
@@ -178,6 +199,7 @@ def match_spots_kernel(
                 radius_rad,
                 found,
             )
+            counts[CONES_SEARCHED] += 1
             counts[CATALOGUE_ANGLES] += tested
             star_index[spot] = -1
             smallest = 1e300
@@ -291,6 +313,7 @@ def expected_kernel(
         math.acos(smallest_z),
         found,
     )
+    counts[CONES_SEARCHED] += 1
     counts[CATALOGUE_ANGLES] += tested
     expected = 0
     seen = 0
@@ -414,6 +437,7 @@ def verify_kernel(
                 break
         refine_kernel(b, unit_vectors, star_index, q, counts)
     counts[SPOTS_CONFIRMED] += matched
+    counts[TRIALS_CONFIRMED] += 1
     if (
         matched < FEW_MATCHES
         and odd_brightness_kernel(magnitudes, hp_mag, star_index, magnitude_tolerance, counts) > 1

@@ -33,6 +33,7 @@ from st_emulator.firmware_model.identification.interface import (
     IdentificationParameters,
     Spikes,
 )
+from st_emulator.firmware_model.identification.verification import COUNT_NAMES, OPERATIONS
 from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import Work
 
@@ -241,7 +242,7 @@ def test_the_counts_are_the_entries_that_are_read(mode: str) -> None:
         assert work["angles_computed"] == 4  # to three partners, and between two
         assert work["magnitudes_compared"] == 2  # M_t, and the group's brightest against the pivot
         assert work["spots_confirmed"] == 10
-        assert work.operations() == sum(work.counts.values()) - work["qmethod_stars"] - work["qmethod_solves"]
+        assert work.operations() == sum(work[name] for name in COUNT_NAMES[:OPERATIONS])
 
 
 def test_reference_mode_reads_less_and_finds_the_same() -> None:
