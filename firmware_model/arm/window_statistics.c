@@ -98,18 +98,15 @@ static inline void add_pixel(sums *sum, uint32_t offset, uint32_t span)
 static sums sum_between(const uint16_t *pixels, int32_t size, int32_t low, uint32_t span)
 {
     sums sum = {0, 0, 0};
-    const uint16_t *end = pixels + size;
-    if ((uintptr_t)pixels & 2)
-        add_pixel(&sum, (uint32_t)(*pixels++ - low), span);
-    /* Two pixels a word. */
-    while (pixels + 1 < end) {
-        uint32_t word = *(const pixel_pair *)pixels;
-        pixels += 2;
-        add_pixel(&sum, (word & 0xffff) - (uint32_t)low, span);
-        add_pixel(&sum, (word >> 16) - (uint32_t)low, span);
+    const pixel_pair *pair = (const pixel_pair *)pixels;
+    const pixel_pair *end = pair + (size >> 1);
+    while (pair < end) {
+        uint32_t pixel = *pair++;
+        add_pixel(&sum, (pixel & 0xffff) - (uint32_t)low, span);
+        add_pixel(&sum, (pixel >> 16) - (uint32_t)low, span);
     }
-    if (pixels < end)
-        add_pixel(&sum, (uint32_t)(*pixels - low), span);
+    if (size & 1)
+        add_pixel(&sum, (uint32_t)(pixels[size - 1] - low), span);
     return sum;
 }
 
@@ -121,14 +118,16 @@ static int32_t even_room(uint64_t value)
     return zeros & ~1;
 }
 
-void st_window_statistics(const uint16_t *pixels, int32_t size, int32_t columns, st_sky_level *level)
+void st_window_statistics(const st_image *window, st_statistics *statistics)
 {
+    const uint16_t *pixels = window->pixels;
+    int32_t size = window->rows * window->columns;
     int32_t samples[SAMPLES];
     int32_t step = (size + SAMPLES - 1) / SAMPLES;
     int32_t count = 0;
     int32_t least = 65535;
     int32_t place = 0;
-    if (step > 1 && columns % step == 0)
+    if (step > 1 && window->columns % step == 0)
         step++; /* or the samples would all stand in the same columns */
     do {
         int32_t value = pixels[place];
@@ -180,6 +179,6 @@ void st_window_statistics(const uint16_t *pixels, int32_t size, int32_t columns,
         high = low + floor_quotient(sum.total + width, kept);
         low -= floor_quotient(width - sum.total, kept);
     }
-    level->background_dn = (double)level_total / (double)level_count;
-    level->noise_dn = (double)sigma * (1.0 / 4294967296.0);
+    statistics->background_dn = (double)level_total / (double)level_count;
+    statistics->noise_dn = (double)sigma * (1.0 / 4294967296.0);
 }

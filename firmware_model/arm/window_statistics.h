@@ -2,16 +2,11 @@
 #ifndef ST_WINDOW_STATISTICS_H
 #define ST_WINDOW_STATISTICS_H
 
-#include <stdint.h>
+#include "star_tracker.h"
+#include "threshold.h"
 
-/* What a window's pixels say of its sky, DN. */
-typedef struct {
-    double background_dn;
-    double noise_dn; /* one pixel, 1 sigma */
-} st_sky_level;
-
-/* Background and noise of `size` pixels, `columns` in a row. size is at least 1, and size times the difference
- * of the largest pixel and the smallest below 2^32: a whole frame of 1024 x 1024 px with 12 bits. */
-void st_window_statistics(const uint16_t *pixels, int32_t size, int32_t columns, st_sky_level *level);
+/* Background and noise of a window. The number of its pixels times the difference of the largest and the
+ * smallest is below 2^32: a whole frame of 1024 x 1024 px with 12 bits. */
+void st_window_statistics(const st_image *window, st_statistics *statistics);
 
 #endif
