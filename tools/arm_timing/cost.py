@@ -54,7 +54,8 @@ class Cost:
     def memory_cycles(self, line_fill_cycles: float, cache_kib: int = 32) -> float:
         """CPU cycles spent waiting for memory, beyond the core's.
 
-        ``line_fill_cycles`` is the time of one line fill; with ``cache_kib=0``, caches off, that of one access.
+        ``line_fill_cycles`` is the time of one line fill; with ``cache_kib=0``, caches off, that of one
+        access.
         """
         accesses = self.line_fills(cache_kib) if cache_kib else self.fetches + self.data_accesses
         return accesses * line_fill_cycles

@@ -10,7 +10,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_ARM, Uc, UcError
+from unicorn import (
+    UC_ARCH_ARM,
+    UC_HOOK_BLOCK,
+    UC_HOOK_CODE,
+    UC_HOOK_MEM_READ,
+    UC_HOOK_MEM_WRITE,
+    UC_MODE_ARM,
+    Uc,
+    UcError,
+)
 from unicorn.arm_const import (
     UC_ARM_REG_LR,
     UC_ARM_REG_PC,
@@ -25,19 +34,28 @@ from unicorn.unicorn_py3.unicorn import uclib
 from . import callbacks
 from .cost import Call, Cost
 from .errors import ArmError
-from .memory import LINE_BYTES, PAGE_BYTES, Memory
+from .memory import PAGE_BYTES, Memory
 from .program import Program
+from .state import LINE_BYTES, State
 
 EXIT_ADDRESS = 0xF000_0000  # where a called function returns to
 MOST_INSTRUCTIONS = 20_000_000_000
+_STOPS = {
+    callbacks.RUNAWAY: "still running after {most} instructions",
+    callbacks.THUMB: "Thumb code, which has no timing here; build with -marm",
+    callbacks.NO_TIMING: "an instruction that ARM926EJ-S has not, or none at all "
+    "(VFP and ARMv6 have no timing here; build with -mcpu=arm926ej-s -mfloat-abi=soft)",
+    callbacks.NOT_CODE: "executes what is not in the program's executable segments",
+    callbacks.UNALIGNED: "an access to 0x{address:08x}, which is not aligned to its size",
+}
 _REGISTER_ARGUMENTS = 4  # AAPCS (IHI 0042) 6.5: r0 to r3
 
 
 class ArmMachine:
     """Memory, core and caches of an ARM926EJ-S with a program in it.
 
-    ``caches_kib`` are sizes of the instruction and of the data cache, all simulated in one run. What is placed
-    from outside leaves the caches as they are; they persist over calls.
+    ``caches_kib`` are sizes of the instruction and of the data cache, all simulated in one run. What is
+    placed from outside leaves the caches as they are; they persist over calls.
     """
 
     def __init__(
@@ -60,10 +78,10 @@ class ArmMachine:
         for start, contents in self._memory.regions:
             self._engine.mem_map_ptr(start, len(contents), UC_PROT_ALL, contents.ctypes.data)
         self._engine.mem_map(EXIT_ADDRESS, PAGE_BYTES)
-        self._state = np.zeros(callbacks.STATE_LENGTH, np.int64)
-        stop = ctypes.cast(uclib.uc_emu_stop, ctypes.c_void_p).value
-        self._state[callbacks.STOP_FUNCTION] = stop
+        self._state = State(self.program, caches_kib)
         self._add_callback(UC_HOOK_CODE, callbacks.on_instruction.address)
+        self._add_callback(UC_HOOK_BLOCK, callbacks.on_block.address)
+        self._add_callback(UC_HOOK_MEM_READ | UC_HOOK_MEM_WRITE, callbacks.on_access.address)
         self._engine.ctl_flush_tb()
 
     def _add_callback(self, kind: int, address: int) -> None:
@@ -74,7 +92,7 @@ class ArmMachine:
             ctypes.byref(handle),
             ctypes.c_int(kind),
             ctypes.c_void_p(address),
-            ctypes.c_void_p(self._state.ctypes.data),
+            ctypes.c_void_p(self._state.array.ctypes.data),
             ctypes.c_uint64(1),
             ctypes.c_uint64(0),
         )
@@ -116,10 +134,11 @@ class ArmMachine:
 
     def dma(self, array: npt.NDArray[Any], keep_address: int | None = None) -> int:
         """As `place`, or to an address, but written by a device: its lines leave the data caches."""
-        if keep_address is None:
-            return self.place(array)
-        self.write(keep_address, array)
-        return keep_address
+        address = self.place(array) if keep_address is None else keep_address
+        if keep_address is not None:
+            self.write(address, array)
+        self._state.invalidate(address, array.nbytes)
+        return address
 
     def release(self) -> None:
         """Free what was placed or reserved and not kept."""
@@ -127,12 +146,13 @@ class ArmMachine:
 
     def flush_caches(self) -> None:
         """Empty the caches: what follows starts cold."""
+        self._state.flush()
 
     def call(self, symbol: str, *arguments: int | float) -> Call:
         """Call a function as AAPCS says, soft float: an int is a word, a float a double.
 
-        ArmError with pc and symbol if there is no such function, it touches memory that is not there, meets an
-        instruction that ARM926EJ-S has not, or runs beyond ``max_instructions``.
+        ArmError with pc and symbol if there is no such function, it touches memory that is not there, meets
+        an instruction that ARM926EJ-S has not, or runs beyond ``max_instructions``.
         """
         if symbol not in self.symbols:
             raise ArmError(f"{self.program.path}: no symbol {symbol!r}")
@@ -153,24 +173,31 @@ class ArmMachine:
             raise ArmError(
                 f"{self.program.place_of(start)}: Thumb code, which has no timing here; build with -marm"
             )
-        state = self._state
-        before = int(state[callbacks.INSTRUCTIONS])
-        state[callbacks.MOST_INSTRUCTIONS] = before + self.max_instructions
-        state[callbacks.STOPPED] = 0
+        before = self._state.begin(self.max_instructions)
         try:
             self._engine.emu_start(start, EXIT_ADDRESS)
         except UcError as error:
+            self._raise_if_stopped()
             raise ArmError(f"at {self._place()}: {error}") from error
-        if state[callbacks.STOPPED] == callbacks.RUNAWAY:
-            raise ArmError(f"at {self._place()}: still running after {self.max_instructions} instructions")
+        self._raise_if_stopped()
         if self._engine.reg_read(UC_ARM_REG_PC) != EXIT_ADDRESS:
             raise ArmError(f"at {self._place()}: stopped before the function returned")
-        count = int(state[callbacks.INSTRUCTIONS]) - before
-        sizes = dict.fromkeys(self.caches_kib, 0)
-        return Cost(count, count, sizes, dict(sizes), 0, count, dict(sizes), {}, 0)
+        self._state.end(EXIT_ADDRESS)
+        cost = self._state.cost_since(before)
+        by_blocks = self._state.instructions_by_blocks(before)
+        if by_blocks != cost.instructions:
+            raise ArmError(f"{cost.instructions} instructions counted one by one, {by_blocks} by blocks")
+        return cost
+
+    def _raise_if_stopped(self) -> None:
+        reason = int(self._state.array[callbacks.STOPPED])
+        address = int(self._state.array[callbacks.STOPPED_AT])
+        if reason:
+            text = _STOPS[reason].format(most=self.max_instructions, address=address)
+            raise ArmError(f"at {self._place()}: {text}")
 
     def _place(self) -> str:
-        return self.program.place_of(int(self._state[callbacks.PC]))
+        return self.program.place_of(int(self._state.array[callbacks.PC]))
 
 
 def _arguments(arguments: Sequence[int | float]) -> tuple[list[int], bytes]:

@@ -25,8 +25,9 @@ def aligned(value: int, unit: int) -> int:
 class Memory:
     """RAM from address 0 up, and further pieces where a program has segments elsewhere.
 
-    The page at 0 is there only if the program has something in it: a null pointer is an error. From the bottom:
-    program, heap (placed and reserved pieces, freed together), pieces that are kept (growing down), the stack.
+    The page at 0 is there only if the program has something in it: a null pointer is an error. From the
+    bottom: program, heap (placed and reserved pieces, freed together), pieces that are kept (growing down),
+    the stack.
     """
 
     def __init__(self, segments: Iterable[Segment], nbytes: int) -> None:
