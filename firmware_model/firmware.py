@@ -269,7 +269,7 @@ def _track(
             "tolerance_rad": parameters.tolerance_rad,
         },
         float(chance),
-        Work(),
+        Work({"false_solutions": 1, "spread_stars": len(spot)}),
     )
     return replace(
         outcome,

@@ -72,10 +72,8 @@ def velocity_over_c(context: FrameContext, configuration: FirmwareConfiguration,
 def directions(spots: Spots, configuration: FirmwareConfiguration, log: FrameLog) -> FloatArray:
     """Unit vectors of spots in the sensor frame, float64[n, 3]."""
     geometry = configuration.geometry
-    vectors = geometry.unit_vectors(spots.x_px, spots.y_px)
-    work = Work({"unit_vectors": len(spots)})
-    if geometry.distorted:
-        work.add("distortions_removed", len(spots))
+    vectors, newton_steps = geometry.counted_unit_vectors(spots.x_px, spots.y_px)
+    work = Work({"unit_vectors": len(spots), "newton_steps": newton_steps})
     arguments = {"geometry": geometry, "x_px": spots.x_px, "y_px": spots.y_px}
     log.step("unit_vectors", arguments, vectors, work)
     return vectors
@@ -102,6 +100,7 @@ def solve(
     sigma = configuration.centroid_error.sigma_px(flux_dn, spots.noise_dn)
     sigma /= configuration.geometry.focal_px
     solution, kept, solution_work = robust_q_method(measured, reference, sigma, tolerance_rad, least)
+    solution_work.add("centroid_errors", len(sigma))
     log.step(
         "attitude",
         {

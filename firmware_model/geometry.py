@@ -21,7 +21,9 @@ FloatArray = NDArray[np.float64]
 
 
 @numba.njit(cache=True, nogil=True)
-def _unit_vectors(x_px: FloatArray, y_px: FloatArray, camera: tuple[float, ...], vectors: FloatArray) -> None:
+def _unit_vectors(x_px: FloatArray, y_px: FloatArray, camera: tuple[float, ...], vectors: FloatArray) -> int:
+    """Write the unit vectors; returns the steps of Newton's method that all of them took."""
+    steps = 0
     focal, cx, cy, k1, k2, p1, p2, _ = camera
     distorted = k1 != 0.0 or k2 != 0.0 or p1 != 0.0 or p2 != 0.0
     for i in range(x_px.shape[0]):
@@ -32,6 +34,7 @@ def _unit_vectors(x_px: FloatArray, y_px: FloatArray, camera: tuple[float, ...],
         if distorted:
             # Newton's method; a few steps suffice, since the distortion of a lens is a small correction
             for _step in range(20):
+                steps += 1
                 r2 = x * x + y * y
                 radial = 1.0 + (k1 + k2 * r2) * r2
                 slope = 2.0 * (k1 + 2.0 * k2 * r2)
@@ -53,6 +56,7 @@ def _unit_vectors(x_px: FloatArray, y_px: FloatArray, camera: tuple[float, ...],
         vectors[i, 0] = x * scale
         vectors[i, 1] = y * scale
         vectors[i, 2] = scale
+    return steps
 
 
 @numba.njit(cache=True, nogil=True)
@@ -151,11 +155,15 @@ class CameraGeometry:
 
     def unit_vectors(self, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
         """Directions in S of points of the image: ``float64[n], float64[n] -> float64[n, 3]``, unit."""
+        return self.counted_unit_vectors(x_px, y_px)[0]
+
+    def counted_unit_vectors(self, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, int]:
+        """As ``unit_vectors``, with the steps of Newton's method that they took (0: no distortion)."""
         x = np.ascontiguousarray(x_px, np.float64).reshape(-1)
         y = np.ascontiguousarray(y_px, np.float64).reshape(-1)
         vectors = np.empty((len(x), 3))
-        _unit_vectors(x, y, self._camera, vectors)
-        return vectors
+        steps = _unit_vectors(x, y, self._camera, vectors)
+        return vectors, int(steps)
 
     def project(self, v_sensor: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Image points of directions in S: ``float64[n, 3] -> x_px[n], y_px[n], ahead[n]``.

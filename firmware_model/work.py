@@ -60,7 +60,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("centroid_interpolations", "centroid", "offset on an axis from the ratio of two columns or rows, Z (6)"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
     ("unit_vectors", "centroid", "pixel position turned to a unit vector (pinhole)"),
-    ("distortions_removed", "centroid", "pixel position freed from distortion (distorted lens only)"),
+    ("newton_steps", "centroid", "step of Newton's method that frees a position from distortion"),
     # identification
     ("kvector_queries", "identification", "range query of the pair catalogue by its k-vector"),
     ("kvector_hits", "identification", "pair returned by a range query"),
@@ -99,16 +99,21 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("qmethod_solves", "attitude", "largest eigenvector of the 4 x 4 matrix"),
     ("jacobi_rotations", "attitude", "plane rotation on the way to an eigenvector", False),
     ("residual_stars", "attitude", "star's residual computed with the attitude"),
+    ("centroid_errors", "attitude", "expected error of a centroid computed, for its weight"),
     ("covariance_stars", "attitude", "star summed into the information matrix"),
     ("covariance_solves", "attitude", "3 x 3 inversion"),
     ("aberrated_stars", "attitude", "catalogue direction turned to apparent (aberration)"),
     ("observer_velocities", "attitude", "velocity of the Earth computed from time"),
     ("rate_solves", "attitude", "angular rate from two attitudes"),
+    ("false_solutions", "attitude", "chance of a false solution computed (logarithms)"),
+    ("spread_stars", "attitude", "star whose angle from the stars' mean is computed for that chance"),
     # telemetry
-    ("telemetry_bytes", "telemetry", "byte written into a telemetry packet"),
+    ("packets", "telemetry", "telemetry packet begun and completed"),
+    ("telemetry_bytes", "telemetry", "byte packed into a telemetry packet and put on the line"),
     ("crc_bytes", "telemetry", "byte put through the CRC"),
+    ("telecommands", "telemetry", "telecommand's headers checked"),
     ("telecommand_bytes", "telemetry", "byte received and unstuffed"),
-    ("image_bytes", "telemetry", "byte of an image copied for download"),
+    ("image_bytes", "telemetry", "byte of an image copied into a packet and put on the line"),
     ("frames", "telemetry", "frame handled at all: interrupts, mode logic, housekeeping"),
 )
 

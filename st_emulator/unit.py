@@ -119,7 +119,7 @@ class StarTracker:
         self._life = 0  # counts starts; an action scheduled in an earlier life is void
         self._time_request: Request | None = None
         self._acquisition_request: Request | None = None
-        self._received_bytes = 0  # not yet in the work of a frame
+        self._reception = Work()  # not yet in the work of a frame
         self._going_down = False
         self.store_fault: StoreInvalidCause | None = None
 
@@ -289,9 +289,10 @@ class StarTracker:
 
     def bytes_received(self, count: int) -> None:
         self.link_counters.rx_bytes += count
-        self._received_bytes += count
+        self._reception.add("telecommand_bytes", count)
 
     def packet_received(self, raw: bytes, last_bit_ns: int) -> None:
+        self._reception += Work({"telecommands": 1, "crc_bytes": len(raw)})
         latency_ns = self.profile.timing.telecommand_latency_us * NS_PER_US
         self.later(latency_ns, partial(self._handle, raw, last_bit_ns))
 
@@ -357,8 +358,8 @@ class StarTracker:
 
     def link_work(self) -> Work:
         work = self.transmitter.take_work()
-        work.add("telecommand_bytes", self._received_bytes)
-        self._received_bytes = 0
+        work += self._reception
+        self._reception = Work()
         return work
 
     def onboard_tai_ns(self, t_ns: int) -> int | None:

@@ -455,8 +455,9 @@ def test_magnitudes_follow_the_frames_exposure(bench: Callable[..., Bench]) -> N
 
 def test_work_is_counted_by_what_was_done(bench: Callable[..., Bench]) -> None:
     b = bench(29)
-    found = b.acquire().work
-    tracked = b.frame().work
+    acquired = b.acquire()
+    followed = b.frame()
+    found, tracked = acquired.work, followed.work
     for work in (found, tracked):
         assert work["frames"] == 1
         assert work["qmethod_solves"] > 0
@@ -466,6 +467,10 @@ def test_work_is_counted_by_what_was_done(bench: Callable[..., Bench]) -> None:
     assert found["kvector_queries"] >= 3
     assert found["triads_tested"] >= 1
     assert found["windows"] == 0
+    assert found["centroid_errors"] >= acquired.stars_identified
+    assert tracked["centroid_errors"] == tracked["spread_stars"] >= followed.stars_identified
+    assert (found["false_solutions"], tracked["false_solutions"]) == (0, 1)
+    assert found["newton_steps"] == 0  # a pinhole
     assert found["aberrated_stars"] == tracked["aberrated_stars"] == 0
     b.tai_set = True
     assert b.frame().work["aberrated_stars"] >= tracked["predicted_stars_projected"]

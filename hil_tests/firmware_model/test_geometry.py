@@ -49,6 +49,37 @@ def test_axes_of_the_sensor_frame() -> None:
     assert math.degrees(math.acos(v[0] @ v[1])) == pytest.approx(math.degrees(math.atan(0.01)))
 
 
+def newton_steps(camera: CameraGeometry, x_px: float, y_px: float) -> int:
+    """Steps of Newton's method with a matrix written out, until the correction is below 1e-14."""
+    at = np.array([(x_px - camera.cx_px) / camera.focal_px, (y_px - camera.cy_px) / camera.focal_px])
+    wanted = at.copy()
+    for steps in range(1, 21):
+        x, y = at
+        r2 = x * x + y * y
+        radial, slope = 1 + camera.k1 * r2 + camera.k2 * r2**2, 2 * camera.k1 + 4 * camera.k2 * r2
+        off = [
+            x * radial + 2 * camera.p1 * x * y + camera.p2 * (r2 + 2 * x * x),
+            y * radial + camera.p1 * (r2 + 2 * y * y) + 2 * camera.p2 * x * y,
+        ] - wanted
+        mixed = slope * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y
+        xx = radial + slope * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
+        yy = radial + slope * y * y + 6 * camera.p1 * y + 2 * camera.p2 * x
+        step = np.linalg.solve([[xx, mixed], [mixed, yy]], off)
+        at -= step
+        if np.abs(step).sum() < 1e-14:
+            return steps
+    return 20
+
+
+def test_steps_of_newtons_method_are_counted() -> None:
+    x, y = np.array([505.0, 5.0, 1000.0, 700.0]), np.array([520.0, 5.0, 30.0, 350.0])
+    vectors, steps = BARREL.counted_unit_vectors(x, y)
+    assert (vectors == BARREL.unit_vectors(x, y)).all()
+    assert steps == sum(newton_steps(BARREL, *place) for place in zip(x, y, strict=True))
+    assert steps > 3 * 3  # off the axis one never does
+    assert ZY3.counted_unit_vectors(x, y)[1] == 0
+
+
 @settings(max_examples=50, deadline=None)
 @given(cameras, st.integers(0, 2**32 - 1))
 def test_projection_and_its_inverse(camera: CameraGeometry, seed: int) -> None:

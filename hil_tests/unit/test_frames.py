@@ -5,6 +5,8 @@ from typing import Any
 
 import pytest
 
+from st_emulator.firmware_model.work import Work
+
 from .conftest import MODE, MS, Bench, MakeBench, Packet
 
 PERIOD_NS, EXPOSURE_NS, READOUT_NS = 250 * MS, 100 * MS, 16_700_000
@@ -100,6 +102,23 @@ def test_telemetry_loads_the_processor(new_bench: MakeBench) -> None:
         bench.run(2000)
         cycles.append(bench.housekeeping(3)["cycles_telemetry"])
     assert cycles[1] > cycles[0] + 1000  # a report is 148 bytes
+
+
+def test_work_on_the_line_is_that_of_its_packets(new_bench: MakeBench) -> None:
+    bench = new_bench().boot()
+    unit = bench.emulator.unit
+    unit.link_work()
+    sent, received = unit.transmitter.bytes, unit.link_counters.rx_bytes
+    packets = unit.transmitter.packets
+    bench.send("ping")
+    bench.run(20)  # less than to the next frame, which takes the work
+    work = unit.link_work()
+    assert (work["telecommands"], work["packets"]) == (1, unit.transmitter.packets - packets)
+    assert work["telecommand_bytes"] == unit.link_counters.rx_bytes - received
+    assert 0 < work["telemetry_bytes"] <= unit.transmitter.bytes - sent  # escapes and ENDs are more
+    assert work["crc_bytes"] == work["telemetry_bytes"] + 13  # the ping's packet
+    assert work["image_bytes"] == 0
+    assert unit.link_work() == Work()
 
 
 def test_timing_structure_adds_up(bench: Bench) -> None:

@@ -86,10 +86,12 @@ class Transmitter:
             time=self._time.cuc(self._clock.now_ns),
             time_status=int(self._time.status),
         )
-        self.work.add("telemetry_bytes", len(packet))
+        data = fields.get("data")  # a copy of an image or of memory
+        copied = len(data) if isinstance(data, bytes) else 0
+        self.work.add("packets")
+        self.work.add("telemetry_bytes", len(packet) - copied)
+        self.work.add("image_bytes", copied)
         self.work.add("crc_bytes", len(packet))
-        if isinstance(fields.get("data"), bytes):  # a copy of an image or of memory
-            self.work.add("image_bytes", len(fields["data"]))
         # Both counters go on for a lost packet, so that the receiver sees the gap.
         self._sequence_count = (self._sequence_count + 1) & 0x3FFF
         self._message_counts[kind] = (self._message_counts[kind] + 1) & 0xFFFF
