@@ -7,9 +7,12 @@ number, and nothing in it depends on the cycle costs: no search has a limit.
 
 from __future__ import annotations
 
+import json
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +25,7 @@ from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.identification.algorithms import ALGORITHMS
 from st_emulator.firmware_model.modes import Mode
 from st_emulator.firmware_model.reasons import Reason
+from st_emulator.firmware_model.work import COUNTS
 from st_emulator.onboard.parameters import default_parameters
 from st_emulator.profile import UnitProfile, load_unit
 from st_emulator.world import quaternion
@@ -169,7 +173,7 @@ def _configured(sequence: SkySequence) -> tuple[UnitProfile, FirmwareConfigurati
         if not profile.detector.hot_pixel_electrons_s:
             hot["hot_pixel_electrons_s"] = 4 * profile.detector.full_well_electrons
         profile = with_section(profile, "detector", **hot)
-    configuration = firmware_configuration(profile, default_parameters(profile) | dict(sequence.parameters))
+    configuration = _without_costs(profile, dict(sequence.parameters))
     identification = replace(
         configuration.identification,
         max_triads=_NO_LIMIT,
@@ -182,6 +186,19 @@ def _configured(sequence: SkySequence) -> tuple[UnitProfile, FirmwareConfigurati
         identify=ALGORITHMS[sequence.algorithm],
         cycle_budget=None,
     )
+
+
+def _without_costs(profile: UnitProfile, parameters: dict[str, float]) -> FirmwareConfiguration:
+    """The unit's configuration, whatever the committed cycle costs: each count costs one cycle.
+
+    A count that is new in ``work.py`` has no cost before it is calibrated.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        entry = {"core_cycles": 1, "memory_cycles": 0, "evidence": "assumed", "source": "none"}
+        costs = Path(folder) / "costs.json"
+        costs.write_text(json.dumps({"clock_hz": 1_000_000, "counts": dict.fromkeys(COUNTS, entry)}))
+        bare = with_section(profile, "processor", cycle_costs=str(costs))
+        return firmware_configuration(bare, default_parameters(bare) | parameters)
 
 
 def records_of(sequence: SkySequence) -> Iterator[FrameRecords]:
