@@ -21,10 +21,12 @@ typedef struct {
     double over_dn;       /* what a pixel must have over it */
     int32_t average_pixels;
     int32_t capacity; /* of the run table */
+    int32_t bits;     /* of the converter: no pixel has more */
+    int32_t reserved;
 } st_threshold;
 
 /* Runs of pixels over (moving average + over_dn), row by row, left to right, with the average where each
- * begins, scaled by 2^ST_BACKGROUND_BITS. run_background[capacity], row_start[rows + 1]; room[3 blocks]: a
+ * begins, scaled by 2^ST_BACKGROUND_BITS. run_background[capacity], row_start[rows + 1]; room[2 blocks]: a
  * block is ST_BLOCK_PX pixels of a row or its rest. Returns their number, or -1 - number where the table was
  * full: rows below hold none. */
 int32_t st_threshold_scan(
