@@ -277,7 +277,7 @@ static int32_t try_pivot(const verification *v, int32_t pivot, int32_t pivot_spo
     return verified;
 }
 
-int32_t st_verify(
+int32_t st_verify_by_pivot(
     const st_tracking_plan *plan,
     const st_catalogue *catalogue,
     const st_tracking_parameters *parameters,

@@ -89,7 +89,7 @@ typedef struct {
 /* The spot of each star of the plan, -1 where none is verified, to chosen[plan->stars]; returns the pivot's
  * place in the plan, -1 where no star works as pivot. spots: by window, as window_of[count] says;
  * b_vectors[count][3]: their directions. verified: stars with a spot; found: stars that could have one. */
-int32_t st_verify(
+int32_t st_verify_by_pivot(
     const st_tracking_plan *plan,
     const st_catalogue *catalogue,
     const st_tracking_parameters *parameters,
