@@ -74,21 +74,21 @@ class ArmMachine:
         self.caches_kib = tuple(caches_kib)
         self.max_instructions = max_instructions
         self._memory = Memory(self.program.segments, memory_bytes)
-        self._engine = Uc(UC_ARCH_ARM, UC_MODE_ARM, UC_CPU_ARM_926)
+        self.engine = Uc(UC_ARCH_ARM, UC_MODE_ARM, UC_CPU_ARM_926)
         for start, contents in self._memory.regions:
-            self._engine.mem_map_ptr(start, len(contents), UC_PROT_ALL, contents.ctypes.data)
-        self._engine.mem_map(EXIT_ADDRESS, PAGE_BYTES)
+            self.engine.mem_map_ptr(start, len(contents), UC_PROT_ALL, contents.ctypes.data)
+        self.engine.mem_map(EXIT_ADDRESS, PAGE_BYTES)
         self._state = State(self.program, caches_kib)
         self._add_callback(UC_HOOK_CODE, callbacks.on_instruction.address)
         self._add_callback(UC_HOOK_BLOCK, callbacks.on_block.address)
         self._add_callback(UC_HOOK_MEM_READ | UC_HOOK_MEM_WRITE, callbacks.on_access.address)
-        self._engine.ctl_flush_tb()
+        self.engine.ctl_flush_tb()
 
     def _add_callback(self, kind: int, address: int) -> None:
         """As Uc.hook_add, with a compiled function instead of a Python one."""
         handle = ctypes.c_size_t()
         status = uclib.uc_hook_add(
-            self._engine._uch,
+            self.engine._uch,
             ctypes.byref(handle),
             ctypes.c_int(kind),
             ctypes.c_void_p(address),
@@ -161,11 +161,11 @@ class ArmMachine:
         if stacked:
             self.write(top, np.frombuffer(stacked, np.uint8))
         for number, value in enumerate(registers):
-            self._engine.reg_write(UC_ARM_REG_R0 + number, value)
-        self._engine.reg_write(UC_ARM_REG_SP, top)
-        self._engine.reg_write(UC_ARM_REG_LR, EXIT_ADDRESS)
+            self.engine.reg_write(UC_ARM_REG_R0 + number, value)
+        self.engine.reg_write(UC_ARM_REG_SP, top)
+        self.engine.reg_write(UC_ARM_REG_LR, EXIT_ADDRESS)
         cost = self._run(self.symbols[symbol])
-        low, high = self._engine.reg_read(UC_ARM_REG_R0), self._engine.reg_read(UC_ARM_REG_R1)
+        low, high = self.engine.reg_read(UC_ARM_REG_R0), self.engine.reg_read(UC_ARM_REG_R1)
         return Call(low, struct.unpack("<d", struct.pack("<II", low, high))[0], cost)
 
     def _run(self, start: int) -> Cost:
@@ -175,12 +175,12 @@ class ArmMachine:
             )
         before = self._state.begin(self.max_instructions)
         try:
-            self._engine.emu_start(start, EXIT_ADDRESS)
+            self.engine.emu_start(start, EXIT_ADDRESS)
         except UcError as error:
             self._raise_if_stopped()
             raise ArmError(f"at {self._place()}: {error}") from error
         self._raise_if_stopped()
-        if self._engine.reg_read(UC_ARM_REG_PC) != EXIT_ADDRESS:
+        if self.engine.reg_read(UC_ARM_REG_PC) != EXIT_ADDRESS:
             raise ArmError(f"at {self._place()}: stopped before the function returned")
         self._state.end(EXIT_ADDRESS)
         cost = self._state.cost_since(before)

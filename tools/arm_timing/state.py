@@ -65,8 +65,8 @@ class State:
         for place, value in constants.items():
             self.array[place] = value
         first = 0
-        self._data_sets = []
-        self._fetch_sets = []
+        self._data_sets: list[npt.NDArray[np.int64]] = []
+        self._fetch_sets: list[npt.NDArray[np.int64]] = []
         for size, count in enumerate(sets):
             self.array[at.SET_MASK + size] = count - 1
             for kept, place in ((self._fetch_sets, at.FETCH_SETS), (self._data_sets, at.DATA_SETS)):
@@ -103,8 +103,10 @@ class State:
     def end(self, next_pc: int) -> None:
         """After a run: close what its last instruction left open."""
         state = self.array
-        executed = next_pc != state[at.PC] + 4 if state[at.OPEN] == at.MAYBE_JUMP else state[at.ACCESSED] != 0
-        at.settle(state, bool(executed))
+        if state[at.OPEN] == at.MAYBE_JUMP:
+            at.settle(state, bool(next_pc != state[at.PC] + 4))
+        elif state[at.OPEN] == at.MAYBE_MEMORY:
+            at.settle(state, bool(state[at.ACCESSED]))
 
     def cost_since(self, snapshot: Snapshot) -> Cost:
         """What was counted since a snapshot."""
