@@ -78,12 +78,11 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("identifications", "identification", "identification begun, whatever is in the image", False),
     ("spikes_taken", "identification", "spike checked and summed into the mean direction", False),
     ("cones_searched", "identification", "cone of the sky grid set up", False),
-    ("spots_turned", "identification", "spot turned to the sky by a trial attitude", False),
     ("spots_followed", "identification", "turned spot compared with the star it is thought to be", False),
     ("trials_confirmed", "identification", "trial whose matches suffice: field and chance looked at", False),
-    ("triads_joined", "identification", "triad whose sides all have pairs, two of them joined", False),
     ("pairs_joined", "identification", "pair looked up in the marks of another side", False),
     ("fourths_compared", "identification", "angle of a fourth spot compared with a near star's", False),
+    ("marks_scattered", "identification", "mark of a star that is not at hand: a cold line", False),
     # tracking
     ("tracking_plans", "tracking", "plan of windows begun: attitude matrix, cone of the neighbours"),
     ("neighbours_read", "tracking", "entry of the neighbour table read"),

@@ -55,15 +55,16 @@ from .verification import (
     FOURTHS_COMPARED,
     KVECTOR_HITS,
     KVECTOR_QUERIES,
+    MARKS_SCATTERED,
     PAIRS_COMPARED,
     PAIRS_JOINED,
     PYRAMIDS_TESTED,
-    TRIADS_JOINED,
     TRIADS_TESTED,
     TRIANGLES_TESTED,
     CountArray,
     exhausted_kernel,
     first_counts,
+    scattered_kernel,
     spread_kernel,
     work_of,
 )
@@ -92,6 +93,7 @@ def identify(
         solutions,
         counts,
     )
+    _count_scattered_kernel(len(catalogue.catalogue), counts)
     found = best_identification(outcome, spots, solutions)
     return for_all_spikes(found, places, len(spikes)), work_of(counts)
 
@@ -224,6 +226,13 @@ def _fourth_kernel(
 
 
 @numba.njit(cache=True, nogil=True)
+def _count_scattered_kernel(stars: int, counts: CountArray) -> None:
+    """Of all marks so far those not at hand: one for each star of a marked pair, two for each pair joined."""
+    marks = counts[CANDIDATES_MARKED] // 2 + 2 * counts[PAIRS_JOINED]
+    counts[MARKS_SCATTERED] = scattered_kernel(marks, stars)
+
+
+@numba.njit(cache=True, nogil=True)
 def _pyramid_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
@@ -265,6 +274,7 @@ def _pyramid_kernel(
             for i in range(spots - dj - dk):
                 j = i + dj
                 k = j + dk
+                _count_scattered_kernel(len(head), counts)
                 if (
                     counts[TRIADS_TESTED] >= max_triads
                     or counts[PAIRS_COMPARED] >= max_pairs_compared
@@ -307,14 +317,13 @@ def _pyramid_kernel(
                     head[other] = base + entry + 1
                     entry += 2
                 counts[CANDIDATES_MARKED] += 2 * entries
-                counts[TRIADS_JOINED] += 1
                 counts[PAIRS_COMPARED] += end[apex, right] - first[apex, right]
-                counts[PAIRS_JOINED] += end[apex, right] - first[apex, right]
                 volume = volume_kernel(b, apex, left, right)
                 longest = math.acos(min(1.0, min(lowest[i, j], min(lowest[i, k], lowest[j, k]))))
                 # A triangle so flat that the tolerance can turn it over has no handedness.
                 flat = 2.0 * tolerance_rad * longest
                 for place in range(first[apex, right], end[apex, right]):
+                    counts[PAIRS_JOINED] += 1
                     for turned in range(2):
                         star_apex = brighter[place] if turned == 0 else dimmer[place]
                         star_right = dimmer[place] if turned == 0 else brighter[place]

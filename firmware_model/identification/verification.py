@@ -40,10 +40,9 @@ COUNT_NAMES = (
     "identifications",
     "spikes_taken",
     "cones_searched",
-    "spots_turned",
     "spots_followed",
     "trials_confirmed",
-    "triads_joined",
+    "marks_scattered",
     "pairs_joined",
     "fourths_compared",
 )
@@ -51,13 +50,16 @@ KVECTOR_QUERIES, KVECTOR_HITS, ANGLES_COMPUTED, PAIRS_COMPARED = range(4)
 TRIADS_TESTED, TRIANGLES_TESTED, PYRAMIDS_TESTED, CANDIDATES_MARKED, VOTES = range(4, 9)
 MAGNITUDES_COMPARED, CATALOGUE_ANGLES, SPOTS_CONFIRMED, TRIAL_STARS_PROJECTED = range(9, 13)
 QMETHOD_STARS, QMETHOD_SOLVES, JACOBI_ROTATIONS = range(13, 16)
-IDENTIFICATIONS, SPIKES_TAKEN, CONES_SEARCHED, SPOTS_TURNED, SPOTS_FOLLOWED = range(16, 21)
-TRIALS_CONFIRMED, TRIADS_JOINED, PAIRS_JOINED, FOURTHS_COMPARED = range(21, 25)
+IDENTIFICATIONS, SPIKES_TAKEN, CONES_SEARCHED, SPOTS_FOLLOWED, TRIALS_CONFIRMED = range(16, 21)
+MARKS_SCATTERED, PAIRS_JOINED, FOURTHS_COMPARED = range(21, 24)
 
 OPERATIONS = 13  # the counts before this one are the stage identification's steps
 
 FEW_MATCHES = 6  # below this, brightness is looked at too
 MOST_NEAR = 256  # stars near one spot: more than any catalogue holds within a tolerance
+# ASSUMED: of a table with one word for each star so many stay at hand, half of a data cache of 32 KiB; its
+# other half is the lists' that are read along.
+MARKS_AT_HAND = 4096
 
 
 def first_counts(spikes: int) -> CountArray:
@@ -71,6 +73,12 @@ def first_counts(spikes: int) -> CountArray:
 def work_of(counts: CountArray) -> Work:
     """The kernels' counts by name."""
     return Work({name: int(count) for name, count in zip(COUNT_NAMES, counts, strict=True) if count})
+
+
+@numba.njit(cache=True, nogil=True)
+def scattered_kernel(marks: int, stars: int) -> int:
+    """How many of so many marks, written or read anywhere in a table of the stars, are not at hand."""
+    return marks - marks * min(stars, MARKS_AT_HAND) // stars
 
 
 @numba.njit(cache=True, nogil=True)
@@ -168,7 +176,6 @@ def match_spots_kernel(
         x = a[0, 0] * b[spot, 0] + a[1, 0] * b[spot, 1] + a[2, 0] * b[spot, 2]
         y = a[0, 1] * b[spot, 0] + a[1, 1] * b[spot, 1] + a[2, 1] * b[spot, 2]
         z = a[0, 2] * b[spot, 0] + a[1, 2] * b[spot, 1] + a[2, 2] * b[spot, 2]
-        counts[SPOTS_TURNED] += 1
         star = only_star[spot]
         if radius_rad >= separation_rad and only_angle[spot] > searched_rad:
             star = -1  # never the only one for certain
