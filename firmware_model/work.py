@@ -41,19 +41,25 @@ class CountDefinition:
 
 _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...]] = (
     # threshold
-    ("noise_samples", "threshold", "pixel pair whose difference goes into the noise estimate, all passes"),
-    ("background_pixels", "threshold", "pixel added to the moving average of the background"),
-    ("threshold_pixels", "threshold", "pixel compared with the threshold, full frame"),
+    ("noise_samples", "threshold", "pixel pair of a full frame taken for background and noise"),
+    ("noise_passes", "threshold", "such a pair in one pass of the background's or the noise's estimate"),
+    ("threshold_pixels", "threshold", "pixel averaged and compared with the threshold, full frame"),
+    ("block_pixels", "threshold", "pixel looked at by itself, as one of its block is over the threshold"),
     ("window_samples", "threshold", "pixel of a detection window counted into the medians of its statistics"),
     ("window_noise_pixels", "threshold", "pixel of a detection window in one pass of its mean and noise"),
     ("window_pixels", "threshold", "pixel of a detection window smoothed and compared with the threshold"),
     ("windows", "threshold", "detection window set up"),
     # clustering
     ("runs", "clustering", "run of pixels over threshold put into the run table"),
+    ("rows_joined", "clustering", "row whose runs are compared with those of the row above"),
     ("run_unions", "clustering", "pair of touching runs joined (union-find)"),
     ("cluster_pixels", "clustering", "pixel over threshold summed into its cluster"),
     ("clusters", "clustering", "cluster with its sums completed"),
     # centroid
+    ("clusters_refused", "centroid", "cluster refused for its size or place before it is measured"),
+    ("mask_pixels", "centroid", "pixel of the square round a cluster that shows whose its pixels are"),
+    ("mask_runs", "centroid", "run of the rows of such a square compared with it"),
+    ("marked_pixels", "centroid", "pixel of such a square marked as one of a run or next to it"),
     ("centroid_stars", "centroid", "centre of mass computed once (its divisions), each pass counts"),
     ("centroid_pixels", "centroid", "pixel weighted into a centre of mass, each pass counts"),
     ("centroid_background_pixels", "centroid", "pixel of the ring round a spot for its local background"),
@@ -80,9 +86,9 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("cones_searched", "identification", "cone of the sky grid set up", False),
     ("spots_followed", "identification", "turned spot compared with the star it is thought to be", False),
     ("trials_confirmed", "identification", "trial whose matches suffice: field and chance looked at", False),
+    ("marks_scattered", "identification", "mark of a star that is not at hand: a cold line", False),
     ("pairs_joined", "identification", "pair looked up in the marks of another side", False),
     ("fourths_compared", "identification", "angle of a fourth spot compared with a near star's", False),
-    ("marks_scattered", "identification", "mark of a star that is not at hand: a cold line", False),
     # tracking
     ("tracking_plans", "tracking", "plan of windows begun: attitude matrix, cone of the neighbours"),
     ("neighbours_read", "tracking", "entry of the neighbour table read"),

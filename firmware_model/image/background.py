@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NOISE_SAMPLES", "frame_statistics", "window_samples", "window_statistics"]
+__all__ = ["NOISE_SAMPLES", "frame_samples", "frame_statistics", "window_samples", "window_statistics"]
 
 # ASSUMED: 4096 pairs give the noise of a frame within 1.1 %, 1 / sqrt(2 * 4096); more would cost time.
 NOISE_SAMPLES = 4096
@@ -18,8 +18,15 @@ PAIR_DISTANCE_PX = 4
 
 
 @numba.njit(cache=True, nogil=True)
+def frame_samples(image: NDArray[np.uint16]) -> int:
+    """How many pairs of its pixels ``frame_statistics`` takes."""
+    rows, columns = image.shape
+    return min(NOISE_SAMPLES, rows * (columns - min(PAIR_DISTANCE_PX, columns - 1)))
+
+
+@numba.njit(cache=True, nogil=True)
 def frame_statistics(image: NDArray[np.uint16]) -> tuple[float, float, int]:
-    """Background (DN), noise of a pixel (DN, 1 sigma) and the number of sample passes, from a subsample.
+    """Background (DN), noise of a pixel (DN, 1 sigma) and the samples looked at in all passes.
 
     Noise: differences of pixels a few columns apart, so that slow gradients cancel; the mean of their
     absolute values starts, then the r.m.s. of those within 4 sigma until it settles (1 %, at most 12 times;
@@ -33,7 +40,7 @@ def frame_statistics(image: NDArray[np.uint16]) -> tuple[float, float, int]:
     distance = min(PAIR_DISTANCE_PX, columns - 1)
     usable = columns - distance
     total = rows * usable
-    count = min(NOISE_SAMPLES, total)
+    count = frame_samples(image)
     # An additive sequence with the golden ratio spreads the samples evenly over rows and columns
     values = np.empty(count, np.float64)
     differences = np.empty(count, np.float64)

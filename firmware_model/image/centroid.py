@@ -6,6 +6,7 @@ Where the unit wants it, Gaussian interpolation (``interpolation.py``) then give
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numba
@@ -15,17 +16,17 @@ from numpy.typing import NDArray
 from .clustering import BACKGROUND, FIRST_X, FIRST_Y, LAST_X, LAST_Y, PEAK, PIXELS, SUM, SUM_X, SUM_Y
 from .interpolation import InterpolationTerms, interpolate
 
-__all__ = ["SPOT_FIELDS", "SpotLimits", "measure_spots"]
+__all__ = ["SPOT_FIELDS", "SpotLimits", "centroid_counts", "measure_spots"]
 
 # float64[spots, SPOT_FIELDS]
 X, Y, FLUX, MAGNITUDE, SPOT_PEAK, SPOT_PIXELS, SATURATED, AT_EDGE = range(8)
 SPOT_FIELDS = 8
 
 # int64[TALLIES]: rejections by reason, then work
-SMALL, LARGE, SHARP, EDGE, FAINT, PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(
-    10
-)
-TALLIES = 10
+SMALL, LARGE, SHARP, EDGE, FAINT = range(5)
+PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(5, 10)
+REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS = range(10, 14)
+TALLIES = 14
 
 
 class SpotLimits(NamedTuple):
@@ -42,6 +43,20 @@ class SpotLimits(NamedTuple):
     interpolation: InterpolationTerms  # (6) of the unit's point spread, where it is wanted
 
 
+def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
+    """Counts of the stage centroid of what ``measure_spots`` has tallied."""
+    return {
+        "clusters_refused": tally[REFUSED],
+        "mask_pixels": tally[MASK_PIXELS],
+        "mask_runs": tally[MASK_RUNS],
+        "marked_pixels": tally[MARKED_PIXELS],
+        "centroid_background_pixels": tally[RING_PIXELS],
+        "centroid_stars": tally[PASSES],
+        "centroid_pixels": tally[WINDOW_PIXELS],
+        "centroid_interpolations": tally[INTERPOLATIONS],
+    }
+
+
 OWN = np.uint8(1)
 OTHER = np.uint8(2)
 
@@ -50,6 +65,9 @@ OTHER = np.uint8(2)
 RECENTRINGS = 2
 # ASSUMED: no window narrower than 4 px in full: below, pixel phase errors exceed 0.01 px for sigma 0.7 px.
 LEAST_HALF_WIDTH_PX = 2.0
+# Fractions of a pixel that places have in the first pass, as the flight kernels have them: the window and the
+# ring of a cluster that just fills them must not depend on the rounding of a quotient.
+PLACES_PER_PX = 65536.0
 # The ring for the local background: from 1 px outside the window, 3 px wide (120 px about a 5 x 5 window).
 # ASSUMED: far enough from the star's wings, near enough for gradients, many enough for the flux's accuracy.
 RING_GAP_PX = 1
@@ -66,19 +84,25 @@ def _paint(
     label: NDArray[np.int32],
     cluster: int,
     reach: int,
+    tally: NDArray[np.int64],
 ) -> None:
     """Mark the pixels within ``reach`` of the cluster (OWN) and of other clusters (OTHER)."""
     height, width = mask.shape
     mask[:, :] = 0
     rows = row_start.shape[0] - 1
-    for row in range(max(top - reach, 0), min(top + height + reach, rows)):
+    first_row, end_row = max(top - reach, 0), min(top + height + reach, rows)
+    tally[MASK_PIXELS] += width * height
+    tally[MASK_RUNS] += row_start[end_row] - row_start[first_row]
+    for row in range(first_row, end_row):
+        first_y, end_y = max(row - reach - top, 0), min(row + reach + 1 - top, height)
         for run in range(row_start[row], row_start[row + 1]):
             first = max(runs[run, 1] - reach - left, 0)
             end = min(runs[run, 2] + reach - left, width)
             if first >= end:
                 continue
             mark = OWN if label[run] == cluster else OTHER
-            for y in range(max(row - reach - top, 0), min(row + reach + 1 - top, height)):
+            tally[MARKED_PIXELS] += (end_y - first_y) * (end - first)
+            for y in range(first_y, end_y):
                 for x in range(first, end):
                     mask[y, x] |= mark
 
@@ -189,10 +213,11 @@ def measure_spots(
         if outcome[cluster] >= 0 or entry[SUM] <= 0.0:
             outcome[cluster] = outcome[cluster] if outcome[cluster] >= 0 else FAINT
             tally[outcome[cluster]] += 1
+            tally[REFUSED] += 1
             continue
 
-        centre_x = entry[SUM_X] / entry[SUM]
-        centre_y = entry[SUM_Y] / entry[SUM]
+        centre_x = math.floor(entry[SUM_X] / entry[SUM] * PLACES_PER_PX + 0.5) / PLACES_PER_PX
+        centre_y = math.floor(entry[SUM_Y] / entry[SUM] * PLACES_PER_PX + 0.5) / PLACES_PER_PX
         background = entry[BACKGROUND]
         wide_x = _half_width(centre_x, first_x, last_x, nominal, grow)
         wide_y = _half_width(centre_y, first_y, last_y, nominal, grow)
@@ -209,7 +234,7 @@ def measure_spots(
             tally[LARGE] += 1
             continue
         mask = store[: width * height].reshape(height, width)
-        _paint(mask, left, top, runs, row_start, label, cluster, reach)
+        _paint(mask, left, top, runs, row_start, label, cluster, reach, tally)
         if local_background:
             inner = (x0, y0, x1, y1)
             background = _ring_background(image, mask, left, top, inner, noise_dn, background, tally)
@@ -271,7 +296,8 @@ def measure_spots(
             elif peak > limits.max_peak_fraction * flux:
                 outcome[cluster] = SHARP
             else:
-                saturated = entry[PEAK] + entry[BACKGROUND] >= limits.saturation_dn
+                # a whole number but for the rounding of the two
+                saturated = entry[PEAK] + entry[BACKGROUND] >= limits.saturation_dn - 0.5
                 if limits.interpolation.wanted and not saturated:
                     # two axes; a spot that is no Gaussian is found out by the same sums
                     tally[INTERPOLATIONS] += 2

@@ -16,6 +16,9 @@ __all__ = ["BLOCK_PX", "CLUSTER_FIELDS", "RUN_FIELDS", "join_runs", "sum_cluster
 # ASSUMED: paper M does not say how often; within 32 px the background of a sky image does not change.
 BLOCK_PX = 32
 
+# Two pixels of a word are compared at once with a limit below this.
+HALF_RANGE_DN = 0x7FFF
+
 RUN_FIELDS = 3  # row, first column, end column (half-open): int32[runs, 3]
 
 # float64[clusters, CLUSTER_FIELDS]
@@ -32,8 +35,8 @@ def threshold_scan(
     runs: NDArray[np.int32],
     run_background: NDArray[np.float64],
     row_start: NDArray[np.int32],
-) -> tuple[int, bool]:
-    """Runs of pixels over (moving average + ``over_dn``). Returns (number of runs, overflowed).
+) -> tuple[int, bool, int]:
+    """Runs of pixels over (moving average + ``over_dn``). Returns (runs, overflowed, pixels looked at again).
 
     Rows are scanned alternately to the right and to the left (zigzag), so that the average never jumps
     across the image. It starts at ``background_dn`` and moves, block by block of ``BLOCK_PX`` pixels, by
@@ -41,7 +44,8 @@ def threshold_scan(
     threshold itself, so that a star hardly lifts the average but a step of the background is followed.
     ``runs``: ``int32[capacity, RUN_FIELDS]``, filled row by row, left to right; ``run_background``:
     ``float64[capacity]``, the average where the run begins; ``row_start``: ``int32[rows + 1]``.
-    When the table is full the scan stops: rows below hold no runs.
+    When the table is full the scan stops: rows below hold no runs. A block is looked at pixel by pixel where
+    one of it is over the threshold, or over half of what 16 bits hold.
     """
     rows, columns = image.shape
     blocks = (columns + BLOCK_PX - 1) // BLOCK_PX
@@ -51,6 +55,7 @@ def threshold_scan(
     average = background_dn
     gain = 1.0 / max(average_pixels, BLOCK_PX)
     count = 0
+    looked_at = 0
     capacity = runs.shape[0]
     for row in range(rows):
         row_start[row] = count
@@ -71,6 +76,8 @@ def threshold_scan(
             averages[block] = average
             limits[block] = limit
             over[block] = largest > limit
+            if largest > min(limit, HALF_RANGE_DN):
+                looked_at += end - first
             if over[block]:
                 any_over = True
                 excess = 0
@@ -97,7 +104,7 @@ def threshold_scan(
                         if count == capacity:
                             for rest in range(row + 1, rows + 1):
                                 row_start[rest] = count
-                            return count, True
+                            return count, True, looked_at
                         runs[count, 0] = row
                         runs[count, 1] = column
                         run_background[count] = averages[block]
@@ -109,7 +116,7 @@ def threshold_scan(
         if inside:
             runs[count - 1, 2] = columns
     row_start[rows] = count
-    return count, False
+    return count, False, looked_at
 
 
 @numba.njit(cache=True, nogil=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..work import Work
 from . import centroid
-from .background import frame_statistics
+from .background import frame_samples, frame_statistics
 from .centroid import SpotLimits
 from .clustering import RUN_FIELDS, join_runs, sum_clusters, threshold_scan
 from .interpolation import HALF_HEIGHT_PX, InterpolationTerms, interpolation_terms
@@ -102,15 +102,16 @@ def _detect(
     max_runs: int,
     limits: SpotLimits,
     tally: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], float, float, int, int, int, int, bool]:
+) -> tuple[NDArray[np.float64], float, float, int, int, int, int, int, int, bool]:
     background, noise, samples = frame_statistics(image)
     runs = np.empty((max_runs, RUN_FIELDS), np.int32)
     run_background = np.empty(max_runs, np.float64)
     row_start = np.empty(image.shape[0] + 1, np.int32)
     over = max(sigma_factor * noise, tau_min_dn)
-    count, overflowed = threshold_scan(
+    count, overflowed, looked_at = threshold_scan(
         image, background, over, average_pixels, runs, run_background, row_start
     )
+    scanned = runs[count - 1, 0] + 1 if overflowed else image.shape[0]
     label = np.empty(count, np.int32)
     clusters, unions = join_runs(runs, count, row_start, label)
     table = sum_clusters(image, runs, count, run_background, label, clusters)
@@ -130,7 +131,7 @@ def _detect(
         outcome,
         tally,
     )
-    return spots[:found], background, noise, samples, count, unions, clusters, overflowed
+    return spots[:found], background, noise, samples, scanned, looked_at, count, unions, clusters, overflowed
 
 
 def spots_of_table(
@@ -171,7 +172,7 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
     if image.ndim != 2 or image.dtype != np.uint16 or image.shape[1] < 2:
         raise ValueError(f"an image is uint16[rows, columns >= 2], not {image.dtype}{list(image.shape)}")
     tally = np.zeros(centroid.TALLIES, np.int64)
-    table, background, noise, samples, runs, unions, clusters, overflowed = _detect(
+    table, background, noise, samples, scanned, looked_at, runs, unions, clusters, overflowed = _detect(
         np.ascontiguousarray(image),
         float(parameters.sigma_factor),
         float(parameters.tau_min_dn),
@@ -193,17 +194,16 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
     )
     work = Work()
     work.counts = {
-        "noise_samples": samples,
-        "background_pixels": image.size,
-        "threshold_pixels": image.size,
+        "noise_samples": frame_samples(image),
+        "noise_passes": samples,
+        "threshold_pixels": scanned * image.shape[1],
+        "block_pixels": looked_at,
         "runs": runs,
+        "rows_joined": image.shape[0],
         "run_unions": unions,
         "cluster_pixels": counts[centroid.CLUSTER_PIXELS],
         "clusters": clusters,
-        "centroid_stars": counts[centroid.PASSES],
-        "centroid_pixels": counts[centroid.WINDOW_PIXELS],
-        "centroid_background_pixels": counts[centroid.RING_PIXELS],
-        "centroid_interpolations": counts[centroid.INTERPOLATIONS],
         "spots_sorted": sorting_work(found),
     }
+    work.counts |= centroid.centroid_counts(counts)
     return spots_of_table(table[order], rejected, background, noise, overflowed), work

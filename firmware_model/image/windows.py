@@ -138,6 +138,7 @@ def _detect_in_windows(
         )
         counts[0] += count
         counts[1] += unions
+        counts[7] += rows
         counts[2] += clusters
         counts[3] += found
         if found == 0:
@@ -223,7 +224,7 @@ def detect_in_windows(
             expected = -2.5 * np.log10(np.asarray(expected_flux_dn, np.float64) / limits.zero_point_dn)
     status = np.zeros(windows, np.uint8)
     background, noise = np.zeros(windows), np.zeros(windows)
-    counts = np.zeros(7, np.int64)
+    counts = np.zeros(8, np.int64)
     tally = np.zeros(centroid.TALLIES, np.int64)
     table, window_of = _detect_in_windows(
         np.ascontiguousarray(flat, np.uint16),
@@ -243,7 +244,7 @@ def detect_in_windows(
         counts,
         tally,
     )
-    runs, unions, clusters, found, overflowed, samples, noise_pixels = counts.tolist()
+    runs, unions, clusters, found, overflowed, samples, noise_pixels, rows_joined = counts.tolist()
     tallied = tally.tolist()
     rejected = Rejections(
         small=tallied[centroid.SMALL],
@@ -260,14 +261,13 @@ def detect_in_windows(
         "window_samples": samples,
         "window_noise_pixels": noise_pixels,
         "runs": runs,
+        "rows_joined": rows_joined,
         "run_unions": unions,
         "cluster_pixels": tallied[centroid.CLUSTER_PIXELS],
         "clusters": clusters,
-        "centroid_stars": tallied[centroid.PASSES],
-        "centroid_pixels": tallied[centroid.WINDOW_PIXELS],
-        "centroid_interpolations": tallied[centroid.INTERPOLATIONS],
         "spots_sorted": sorting_work(found),
     }
+    work.counts |= centroid.centroid_counts(tallied)
     level = float(np.median(background)) if windows else 0.0
     sigma = float(np.median(noise)) if windows else 0.0
     spots = spots_of_table(table, rejected, level, sigma, overflowed > 0)

@@ -22,7 +22,7 @@ def scan(
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int32], bool]:
     runs, averages = np.full((room, 3), -1, np.int32), np.full(room, np.nan)
     row_start = np.full(image.shape[0] + 1, -1, np.int32)
-    count, overflowed = threshold_scan(image, background, over, average_pixels, runs, averages, row_start)
+    count, overflowed, _ = threshold_scan(image, background, over, average_pixels, runs, averages, row_start)
     return runs[:count], averages[:count], row_start, overflowed
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
+from st_emulator.firmware_model.image.background import NOISE_SAMPLES
 from st_emulator.firmware_model.image.detection import DetectionParameters, detect
 from st_emulator.firmware_model.image.spots import Rejections, Spots
 from st_emulator.firmware_model.work import COUNTS
@@ -139,8 +140,33 @@ def test_work_counts_what_was_done(render_stars: Render) -> None:
     image = np.rint(100 + render_stars((100, 120), stars) / 8).astype(np.uint16)
     spots, work = detect(image, parameters(tau_min_dn=12.0))
     over = image > 112
+    over_by_block = np.pad(over, ((0, 0), (0, 8))).reshape(100, 4, 32).any(axis=2)
     assert len(spots) == 2
-    assert work["threshold_pixels"] == work["background_pixels"] == 12000
+    assert work["threshold_pixels"] == 12000
+    assert work["noise_samples"] == NOISE_SAMPLES
+    assert work["noise_passes"] % NOISE_SAMPLES == 0
+    assert work["noise_passes"] >= 3 * NOISE_SAMPLES  # mean difference, one r.m.s. or more, background
+    assert work["block_pixels"] == 32 * over_by_block.sum() - 8 * over_by_block[:, 3].sum()
+    assert work["rows_joined"] == 100
+    assert work["clusters_refused"] == 0
+    squares = marked = looked_at = 0
+    for (
+        x,
+        y,
+        _,
+    ) in stars:  # the square: window of +-2.5 px about the cluster's centre of mass, 1 px, ring of 3 px
+        near = np.zeros_like(over)
+        near[int(y) - 5 : int(y) + 7, int(x) - 5 : int(x) + 7] = True
+        rows, columns = np.nonzero(over & near)
+        excess = image[rows, columns] - 100.0
+        x_com, y_com = (columns * excess).sum() / excess.sum(), (rows * excess).sum() / excess.sum()
+        first, last = np.floor(y_com - 2.5) - 4, np.ceil(y_com + 2.5) + 4
+        squares += (last + 1 - first) * (np.ceil(x_com + 2.5) - np.floor(x_com - 2.5) + 9)
+        marked += sum(3 * ((rows == row).sum() + 2) for row in set(rows))  # no row of these two has a gap
+        looked_at += (np.diff(over[int(first) - 1 : int(last) + 2].astype(int), axis=1, prepend=0) == 1).sum()
+    assert work["mask_pixels"] == squares
+    assert work["marked_pixels"] == marked
+    assert work["mask_runs"] == looked_at
     assert work["clusters"] == 2
     assert work["cluster_pixels"] == over.sum() == spots.pixels.sum()
     assert work["runs"] == (np.diff(over.astype(int), axis=1, prepend=0) == 1).sum()
