@@ -15,8 +15,8 @@ from tools.calibration import __main__ as command
 from tools.calibration import check as checking
 from tools.calibration.compiler import KERNELS, PINNED_COMPILER, Build, Compiler, build, find_compiler
 from tools.calibration.document import SampleSet, text_of
+from tools.calibration.frames import LOST_IN_SPACE
 from tools.calibration.samples import TARGETS, Sample
-from tools.calibration.simulation import LOST_IN_SPACE
 
 PINNED = Compiler("gcc", PINNED_COMPILER, True, {})
 OTHER = Compiler("gcc", "gcc 14.1.0 (somebody's)", False, {})

@@ -22,8 +22,8 @@ from tools.calibration.document import (
     text_of,
 )
 from tools.calibration.fit import fit
+from tools.calibration.frames import LOST_IN_SPACE, TRACKING
 from tools.calibration.samples import CACHES_KIB, TARGETS, Sample, fills_target
-from tools.calibration.simulation import LOST_IN_SPACE, TRACKING
 from tools.calibration.validation import by_stage, stage_errors, within_limits
 
 BUILD = Build(Path("kernels.elf"), "gcc 12.2.0 (Debian 12.2.0-14)", ("-O2",), {"kernels.elf": "ab" * 32})

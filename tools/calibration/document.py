@@ -17,6 +17,7 @@ from st_emulator.firmware_model.cycle_table import MemoryTiming
 from st_emulator.firmware_model.work import COUNTS
 from tools.calibration.compiler import Build
 from tools.calibration.fit import Fit
+from tools.calibration.frames import LOST_IN_SPACE, TRACKING
 from tools.calibration.samples import (
     CACHES_KIB,
     TARGETS,
@@ -83,7 +84,8 @@ class SampleSet:
 
     @property
     def frames(self) -> int:
-        return len(frames_of(self.samples))
+        """Frames, without what was identified by another algorithm beside."""
+        return sum(own[0].kind in (LOST_IN_SPACE, TRACKING) for own in frames_of(self.samples).values())
 
 
 def rounded(value: float, figures: int = _FIGURES) -> float:

@@ -36,8 +36,12 @@ from st_emulator.world.trajectory import ConstantRateTrajectory
 __all__ = [
     "FIT",
     "HELD_OUT",
+    "IDENTIFY",
+    "KINDS",
+    "LOST_IN_SPACE",
     "MOST_STEPS",
     "TRACKED",
+    "TRACKING",
     "FrameRecords",
     "SkySequence",
     "records_of",
@@ -53,6 +57,12 @@ HELD_OUT: Final = 5226
 # left out, as its search alone would take minutes. No unit's budget allows so many.
 MOST_STEPS: Final = 1_500_000
 _NO_LIMIT = 100_000_000
+# Of records: frames, and the spots of a frame lost in space given to the algorithms that it was not for.
+LOST_IN_SPACE: Final = "lost_in_space"
+TRACKING: Final = "tracking"
+IDENTIFY: Final = "identify"
+KINDS: Final = (LOST_IN_SPACE, TRACKING, IDENTIFY)
+_OTHERS_FRAME = 1000  # number of the first of these in a sequence
 
 # What the conditions are drawn from: for the fit, and between these for the held out frames.
 _RATES_DEG_S = ((0.0, 0.0, 0.2, 1.0, 2.5, 5.0), (0.1, 0.5, 1.5, 3.5))
@@ -98,10 +108,13 @@ class SkySequence:
 
 @dataclass(frozen=True)
 class FrameRecords:
-    """The steps of one frame. tracked: its search; left_out: its identification took over MOST_STEPS."""
+    """The steps of one frame, or an identification alone.
+
+    kind: one of ``KINDS``. left_out: its identification took over MOST_STEPS and is not there.
+    """
 
     frame: int
-    tracked: bool
+    kind: str
     steps: tuple[StepRecord, ...]
     left_out: bool = False
 
@@ -202,7 +215,7 @@ def _without_costs(profile: UnitProfile, parameters: dict[str, float]) -> Firmwa
 
 
 def records_of(sequence: SkySequence) -> Iterator[FrameRecords]:
-    """The frames of a sequence, in order: lost in space first.
+    """The frames of a sequence, in order: lost in space first, and its spots to the other algorithms last.
 
     Where a frame gives no valid attitude, the next one is tracked from the true one.
     """
@@ -211,6 +224,7 @@ def records_of(sequence: SkySequence) -> Iterator[FrameRecords]:
     renderer = _renderer(profile, sequence)
     period_ns = profile.frame_period_ns * (sequence.frames_lost + 1)
     state = FirmwareState.initial()
+    others: list[StepRecord] = []
     for number in range(sequence.tracked + 1):
         frame = renderer.frame(number, number * period_ns, configuration.exposure_ns)
         context = FrameContext(
@@ -226,10 +240,29 @@ def records_of(sequence: SkySequence) -> Iterator[FrameRecords]:
         limited = bool(result.reasons & Reason.WORK_LIMIT)
         left_out = limited or searched > MOST_STEPS
         kept = tuple(step for step in steps if not (left_out and step.step == "identify"))
-        yield FrameRecords(number, number > 0, kept, left_out)
+        yield FrameRecords(number, TRACKING if number else LOST_IN_SPACE, kept, left_out)
+        others += [] if number else _others(steps, sequence.algorithm)
         state = result.state
         if not result.valid:
             state = _true_state(renderer, frame.exposure_mid_ns, result.state, tables)
+    for place, record in enumerate(others):
+        yield FrameRecords(_OTHERS_FRAME + place, IDENTIFY, (record,))
+
+
+def _others(steps: Sequence[StepRecord], own: str) -> list[StepRecord]:
+    """The identification of a frame by each other algorithm, unless it takes too long."""
+    found = []
+    for step in steps:
+        if step.step != IDENTIFY:
+            continue
+        for name, algorithm in ALGORITHMS.items():
+            arguments = {**step.arguments, "algorithm": algorithm}
+            if name == own:
+                continue
+            result, work = algorithm(arguments["spikes"], arguments["tables"], arguments["parameters"])
+            if result.reason != Reason.WORK_LIMIT and work.operations("identification") <= MOST_STEPS:
+                found.append(StepRecord(IDENTIFY, arguments, result, work))
+    return found
 
 
 def _renderer(profile: UnitProfile, sequence: SkySequence) -> SceneRenderer:

@@ -10,7 +10,7 @@ import numpy as np
 from st_emulator.campaigns.plotting import COLOURS, require_plot_path, write_plot
 from st_emulator.firmware_model.work import STAGES
 from tools.calibration.document import SampleSet
-from tools.calibration.simulation import LOST_IN_SPACE, TRACKING
+from tools.calibration.frames import LOST_IN_SPACE, TRACKING
 from tools.calibration.validation import (
     FRAME_LIMIT,
     STAGE_LIMIT,

@@ -7,21 +7,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
 
 import st_emulator
 from st_emulator.firmware_model.frame_trace import StepRecord
 from tools.arm_timing.errors import ArmError
 from tools.arm_timing.machine import ArmMachine
-from tools.calibration.frames import SkySequence, records_of
+from tools.calibration.frames import IDENTIFY, SkySequence, records_of
 from tools.calibration.registry import own_records, steps_by_name
 from tools.calibration.samples import Sample, sample_of
 from tools.calibration.steps.step import MismatchError
 
-__all__ = ["LOST_IN_SPACE", "TRACKING", "Case", "OwnSequence", "Simulated", "fingerprint", "simulate"]
-
-LOST_IN_SPACE: Final = "lost_in_space"
-TRACKING: Final = "tracking"
+__all__ = ["Case", "OwnSequence", "Simulated", "fingerprint", "simulate"]
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,7 @@ def _steps_of_case(case: Case) -> Iterator[tuple[int, str, bool, StepRecord]]:
     if case.sky is not None:
         for frame in records_of(case.sky):
             for record in frame.steps:
-                yield frame.frame, TRACKING if frame.tracked else LOST_IN_SPACE, frame.left_out, record
+                yield frame.frame, frame.kind, frame.left_out, record
     if case.own is not None:
         make = own_records()[case.own.family]
         for number, record in enumerate(make(case.own.seed * 1000 + case.own.number, case.own.records)):
@@ -82,6 +78,8 @@ def simulate(elf: str, case: Case) -> Simulated:
     for frame, kind, without, record in _steps_of_case(case):
         if without:
             left_out.add(frame)
+        if kind == IDENTIFY:
+            machine.flush_caches()  # as after a full frame's pixels
         try:
             runs = steps[record.step].run(machine, record)
         except (MismatchError, ArmError) as error:

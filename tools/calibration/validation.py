@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from st_emulator.firmware_model.work import STAGES
+from tools.calibration.frames import LOST_IN_SPACE, TRACKING
 from tools.calibration.samples import CACHES_KIB, TARGETS, Sample, frames_of, total_cycles
-from tools.calibration.simulation import LOST_IN_SPACE, TRACKING
 
 __all__ = [
     "FRAME_LIMIT",
