@@ -17,7 +17,15 @@ from unicorn import UC_HOOK_CODE, UC_HOOK_MEM_READ, UC_HOOK_MEM_WRITE
 from unicorn.arm_const import UC_ARM_REG_CPSR
 from unicorn.unicorn_const import UC_MEM_WRITE
 
-NAMES = {f"r{n}": n for n in range(13)} | {"sb": 9, "sl": 10, "fp": 11, "ip": 12, "sp": 13, "lr": 14, "pc": 15}
+NAMES = {f"r{n}": n for n in range(13)} | {
+    "sb": 9,
+    "sl": 10,
+    "fp": 11,
+    "ip": 12,
+    "sp": 13,
+    "lr": 14,
+    "pc": 15,
+}
 REGISTER = re.compile(r"\b(r1[0-2]|r[0-9]|sb|sl|fp|ip|sp|lr|pc)\b")
 CONDITIONS = ("eq", "ne", "hs", "lo", "mi", "pl", "vs", "vc", "hi", "ls", "ge", "lt", "gt", "le")
 ARITHMETIC = ("add", "sub", "rsb", "adc", "sbc")
@@ -44,7 +52,9 @@ class Read:
     store: tuple[int, ...] = ()
     addend: tuple[int, ...] = ()
     written: tuple[int, ...] = ()
-    late: dict[int, tuple[int, int, int]] = field(default_factory=dict)  # register: more cycles until each need
+    late: dict[int, tuple[int, int, int]] = field(
+        default_factory=dict
+    )  # register: more cycles until each need
     jumps: bool = False
 
 
@@ -125,7 +135,10 @@ class Reader:
             return _processing(name, text, registers)
         if name == "clz":
             return Read(1, registers[1:], written=registers[:1])
-        if name in ("push", "pop", "ldm", "ldmib", "ldmda", "ldmdb", "stm", "stmib", "stmda", "stmdb") and in_list:
+        if (
+            name in ("push", "pop", "ldm", "ldmib", "ldmda", "ldmdb", "stm", "stmib", "stmda", "stmdb")
+            and in_list
+        ):
             return _list(name, text)
         if name in ("push", "pop"):
             name = "ldr" if name == "pop" else "str"
@@ -187,7 +200,9 @@ def _transfer(name: str, text: str, registers: tuple[int, ...]) -> Read:
 def _other(name: str, text: str, registers: tuple[int, ...], flags: bool) -> Read:
     first = registers[:1]
     if name in ("b", "bl", "bx", "blx"):
-        return Read(3, first if name in ("bx", "blx") else (), written=(15, 14) if "l" in name else (15,), jumps=True)
+        return Read(
+            3, first if name in ("bx", "blx") else (), written=(15, 14) if "l" in name else (15,), jumps=True
+        )
     if name in ("mul", "mla"):
         late = {} if flags else {registers[0]: (1, 1, 0)}
         return Read(4 if flags else 2, registers[1:3], addend=registers[3:], written=first, late=late)
@@ -198,7 +213,9 @@ def _other(name: str, text: str, registers: tuple[int, ...], flags: bool) -> Rea
         return Read(5 if flags else 3, registers[2:], addend=addend, written=both, late=late)
     if re.fullmatch(r"smlal[bt][bt]", name):
         both = registers[:2]
-        return Read(2, registers[2:], addend=both, written=both, late={register: (1, 1, 0) for register in both})
+        return Read(
+            2, registers[2:], addend=both, written=both, late={register: (1, 1, 0) for register in both}
+        )
     if re.fullmatch(r"smul[btw][bt]|smla[btw][bt]", name):
         return Read(1, registers[1:3], addend=registers[3:], written=first, late={registers[0]: (1, 1, 0)})
     if name in ("qadd", "qsub", "qdadd", "qdsub"):
@@ -208,7 +225,9 @@ def _other(name: str, text: str, registers: tuple[int, ...], flags: bool) -> Rea
     if name == "msr":
         return Read(1 if text.startswith(("apsr_nzcvq", "cpsr_f,")) else 3, first)
     if name in ("swp", "swpb"):
-        return Read(2, registers[2:], registers[1:2], written=first, late={first[0]: (1 + (name == "swpb"), 1, 1)})
+        return Read(
+            2, registers[2:], registers[1:2], written=first, late={first[0]: (1 + (name == "swpb"), 1, 1)}
+        )
     if name == "pld":
         return Read(1, registers)
     if name == "mcr":
