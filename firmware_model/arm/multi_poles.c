@@ -1,9 +1,11 @@
 /* Identification by improved multi-poles: firmware_model/identification/multi_poles.py, after Schiattarella,
  * Spiller & Curti 2020, section 5, equations (34) to (45).
  *
- * Directions, cosines and magnitudes are software double precision in the Python stage's order of operations,
- * so that the same pairs pass the same tests. What a star has as the pole is one record, as is an entry, so
- * that each costs one cache line. */
+ * Directions and cosines are software double precision in the Python stage's order of operations, so that the
+ * same pairs pass the same tests. The test of magnitudes (38) is of each pair that fits an angle, so it is done
+ * in integers: from each spike's magnitude comes, once, the range of single precision values that pass it in
+ * double precision, and their words order as they do. What a star has as the pole is one record, as is an
+ * entry, so that each costs one cache line. */
 #include "multi_poles.h"
 
 #include <math.h>
@@ -25,6 +27,8 @@ static int32_t ascending[ST_MOST_SPIKES]; /* (34): places of the sorted spikes a
 static int32_t places[ST_MOST_SPIKES];
 static int32_t first_of[ST_MOST_SPIKES];
 static int32_t end_of[ST_MOST_SPIKES];
+static int32_t brightest_of[ST_MOST_SPIKES]; /* keys of the magnitudes that pass (38) with a spike */
+static int32_t dimmest_of[ST_MOST_SPIKES];
 static double cosine_of[ST_MOST_SPIKES];
 static double best_of[ST_MOST_SPIKES];
 static uint8_t tried[ST_MOST_SPIKES];
@@ -61,6 +65,32 @@ static void sort_spikes(const st_spikes *spikes)
     }
     for (int32_t spike = 0; spike < spikes->count; spike++)
         memcpy(sorted_b + 3 * spike, spikes->b + 3 * ascending[spike], 3 * sizeof(double));
+}
+
+/* A word that orders as single precision values do; of 0 and -0 the latter is the lower. */
+static inline int32_t key_of(float value)
+{
+    int32_t word;
+    memcpy(&word, &value, sizeof word);
+    return word ^ (word >> 31 & 0x7fffffff);
+}
+
+/* The range of single precision magnitudes m with |m - magnitude| < tolerance in double precision, as keys.
+ * The difference is rounded but never falls as m grows, so its bounds are found by single steps. */
+static void magnitude_range(double magnitude, double tolerance, int32_t *brightest, int32_t *dimmest)
+{
+    float low = (float)(magnitude - tolerance);
+    float high = (float)(magnitude + tolerance);
+    while (!((double)low - magnitude > -tolerance))
+        low = nextafterf(low, INFINITY);
+    while ((double)nextafterf(low, -INFINITY) - magnitude > -tolerance)
+        low = nextafterf(low, -INFINITY);
+    while (!((double)high - magnitude < tolerance))
+        high = nextafterf(high, -INFINITY);
+    while ((double)nextafterf(high, INFINITY) - magnitude < tolerance)
+        high = nextafterf(high, INFINITY);
+    *brightest = key_of(low == 0.0f ? -0.0f : low);
+    *dimmest = key_of(high == 0.0f ? 0.0f : high);
 }
 
 /* Ranges of the pair list that fit the angles from the pole to all others, (36)-(37); pairs in all. */
@@ -121,23 +151,24 @@ static int32_t accept(search *s, int32_t pole, int32_t *accepted)
     const int32_t *brighter = s->pairs->brighter;
     const int32_t *dimmer = s->pairs->dimmer;
     const float *hp_mag = s->stars->hp_mag;
-    double tolerance_mag = s->parameters->magnitude_tolerance;
-    double pole_mag = sorted_mag[pole];
+    int32_t pole_low = brightest_of[pole];
+    int32_t pole_high = dimmest_of[pole];
     poll votes = {0, 0, -1};
     if (2 * look_up(s, pole) > s->marks->entries)
         return NO_ROOM;
     for (int32_t j = 0; j < s->spikes.count; j++) {
-        double neighbour_mag = sorted_mag[j];
+        int32_t low = brightest_of[j];
+        int32_t high = dimmest_of[j];
         accepted[j] = -1;
         for (int32_t place = first_of[j]; place < end_of[j]; place++) {
             int32_t one = brighter[place];
             int32_t other = dimmer[place];
-            double one_mag = (double)hp_mag[one];
-            double other_mag = (double)hp_mag[other];
+            int32_t one_mag = key_of(hp_mag[one]);
+            int32_t other_mag = key_of(hp_mag[other]);
             /* (38), either way round */
-            if (fabs(one_mag - pole_mag) < tolerance_mag && fabs(other_mag - neighbour_mag) < tolerance_mag)
+            if (one_mag >= pole_low && one_mag <= pole_high && other_mag >= low && other_mag <= high)
                 vote(s->marks, one, other, place, j, &votes);
-            if (fabs(other_mag - pole_mag) < tolerance_mag && fabs(one_mag - neighbour_mag) < tolerance_mag)
+            if (other_mag >= pole_low && other_mag <= pole_high && one_mag >= low && one_mag <= high)
                 vote(s->marks, other, one, place, j, &votes);
         }
     }
@@ -306,6 +337,9 @@ int32_t st_identify_multi_poles(const st_spikes *spikes, const st_star_table *st
     if (s.least_recognised < FEWEST)
         s.least_recognised = FEWEST;
     sort_spikes(&usable);
+    for (int32_t spike = 0; spike < count; spike++)
+        magnitude_range(sorted_mag[spike], parameters->magnitude_tolerance, &brightest_of[spike],
+                        &dimmest_of[spike]);
     s.spread_rad = st_spread(sorted_b, count);
     if (marks->base > MOST_NUMBERS) {
         memset(marks->mark, 0, (size_t)stars->stars * sizeof *marks->mark);
