@@ -246,7 +246,7 @@ def verify_by_pivot(
     ASSUMED: a pivot works when at least half of the stars that could have a spot verify with it (and
         min_stars in all): a false pivot that fits two false spots by chance is then passed over.
     """
-    counts = np.zeros(4, np.int64)
+    counts = np.zeros(5, np.int64)
     spot = np.empty(len(plan.star), np.int32)
     pivot, verified, stars_found = _verify_kernel(
         plan.reference,
@@ -271,19 +271,21 @@ def verify_by_pivot(
             "pivots_tried": int(counts[1]),
             "spots_assigned": int(counts[2]),
             "reference_angles": int(counts[3]),
+            "angles_compared": int(counts[4]),
+            "verified_entries": len(plan.star) + len(plan.rects) + len(b_vectors),
         }
     )
     return Verification(spot, int(pivot), int(verified), int(stars_found)), work
 
 
 @numba.njit(cache=True, nogil=True)
-def _chord(u: FloatArray, i: int, v: FloatArray, j: int) -> float:
-    """Angle between u[i] and v[j], rad, from the chord."""
+def _chord_square(u: FloatArray, i: int, v: FloatArray, j: int) -> float:
+    """Square of the chord between the unit vectors u[i] and v[j]: 4 sin^2 of half their angle."""
     dx = u[i, 0] - v[j, 0]
     dy = u[i, 1] - v[j, 1]
     dz = u[i, 2] - v[j, 2]
-    angle: float = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(dx * dx + dy * dy + dz * dz)))
-    return angle
+    square: float = dx * dx + dy * dy + dz * dz
+    return square
 
 
 @numba.njit(cache=True, nogil=True)
@@ -304,12 +306,19 @@ def _verify_kernel(
     chosen: IntArray,
     counts: npt.NDArray[np.int64],
 ) -> tuple[int, int, int]:
-    """(pivot, stars verified, stars that could be); the spot of each star in chosen[n]."""
+    """(pivot, stars verified, stars that could be); the spot of each star in chosen[n].
+
+    An angle is within the tolerance t of the catalogue's angle a when its chord is between
+    2 sin(a/2 -+ t/2) = c cos(t/2) -+ sqrt(4 - c^2) sin(t/2), c being the catalogue's chord.
+    """
     stars = len(reference)
     spots = len(b)
     trial = np.empty(stars, np.int32)
     owner = np.empty(max(spots, 1), np.int32)
     distance = np.empty(stars)
+    low = np.empty(stars)
+    high = np.empty(stars)  # below zero: not computed for this pivot
+    chord = np.empty(max(spots, 1))  # square; below zero: not computed for this spot of the pivot
     for star in range(stars):
         chosen[star] = -1
     found = 0
@@ -326,7 +335,11 @@ def _verify_kernel(
     if found < min_stars:
         return -1, 0, found
     enough = max(min_stars, (found + 1) // 2)
+    cosine = math.cos(0.5 * tolerance_rad)
+    sine = math.sin(0.5 * tolerance_rad)
     for pivot in range(stars):
+        for star in range(stars):
+            high[star] = -1.0
         for pivot_spot in range(spots):
             if spot_window[pivot_spot] != window[pivot]:
                 continue
@@ -337,22 +350,29 @@ def _verify_kernel(
                 trial[star] = -1
             for spot in range(spots):
                 owner[spot] = -1
+                chord[spot] = -1.0
             trial[pivot] = pivot_spot
             owner[pivot_spot] = pivot
             verified = 1
             for star in range(stars):
                 if star == pivot:
                     continue
-                angle = -1.0
                 nearest = 1e300
                 for spot in range(spots):
                     if spot_window[spot] != window[star] or spot == pivot_spot:
                         continue
-                    if angle < 0.0:
-                        angle = _chord(reference, pivot, reference, star)
+                    if high[star] < 0.0:
+                        square = _chord_square(reference, pivot, reference, star)
+                        middle = math.sqrt(square) * cosine
+                        reach = math.sqrt(4.0 - square) * sine
+                        low[star] = max(middle - reach, 0.0) ** 2
+                        high[star] = (middle + reach) ** 2
                         counts[3] += 1
-                    counts[0] += 1
-                    if not abs(_chord(b, pivot_spot, b, spot) - angle) <= tolerance_rad:
+                    if chord[spot] < 0.0:
+                        chord[spot] = _chord_square(b, pivot_spot, b, spot)
+                        counts[0] += 1
+                    counts[4] += 1
+                    if not low[star] <= chord[spot] <= high[star]:
                         continue
                     difference = (spot_mag[spot] - spot_mag[pivot_spot]) - (hp_mag[star] - hp_mag[pivot])
                     if not abs(difference) <= magnitude_tolerance:

@@ -195,14 +195,25 @@ int32_t st_merge_windows(
     return windows;
 }
 
-/* Angle between two directions from their chord, rad. */
-static double angle_between(const double *u, const double *v)
+/* Square of the chord between two directions: 4 sin^2 of half their angle. */
+static double chord_square(const double *u, const double *v)
 {
     double dx = u[0] - v[0];
     double dy = u[1] - v[1];
     double dz = u[2] - v[2];
-    double half_chord = 0.5 * sqrt(dx * dx + dy * dy + dz * dz);
-    return 2.0 * asin(half_chord < 1.0 ? half_chord : 1.0);
+    return dx * dx + dy * dy + dz * dz;
+}
+
+/* Squares of the chords between which an angle is within the tolerance of that of two catalogue stars. */
+static void chord_bounds(
+    const double *u, const double *v, const st_tracking_parameters *parameters, double *low, double *high)
+{
+    double square = chord_square(u, v);
+    double middle = sqrt(square) * parameters->cos_half_tolerance;
+    double reach = sqrt(4.0 - square) * parameters->sin_half_tolerance;
+    double least = middle - reach;
+    *low = least > 0.0 ? least * least : 0.0;
+    *high = (middle + reach) * (middle + reach);
 }
 
 /* Everything that a trial of one pivot looks at. */
@@ -216,6 +227,13 @@ typedef struct {
     st_verify_room *room;
 } verification;
 
+/* Forget the squares of chords of `count` stars or spots: none is below zero. */
+static void forget(double *square, int32_t count)
+{
+    for (int32_t i = 0; i < count; i++)
+        square[i] = -1.0;
+}
+
 /* Spots of the other stars when pivot_spot is the spot of pivot, to room->trial; how many verify with it. */
 static int32_t try_pivot(const verification *v, int32_t pivot, int32_t pivot_spot)
 {
@@ -228,11 +246,13 @@ static int32_t try_pivot(const verification *v, int32_t pivot, int32_t pivot_spo
         room->trial[star] = -1;
     for (int32_t spot = 0; spot < v->count; spot++)
         room->owner[spot] = -1;
+    forget(room->chord, v->count);
     room->trial[pivot] = pivot_spot;
     room->owner[pivot_spot] = pivot;
     for (int32_t star = 0; star < plan->stars; star++) {
         const int32_t *from = room->spot_from + plan->window[star];
-        double angle = -1.0;
+        double *low = room->low + star;
+        double *high = room->high + star;
         double nearest = 1e300;
         int32_t best = -1;
         if (star == pivot)
@@ -240,11 +260,13 @@ static int32_t try_pivot(const verification *v, int32_t pivot, int32_t pivot_spo
         for (int32_t spot = from[0]; spot < from[1]; spot++) {
             if (spot == pivot_spot)
                 continue;
-            if (angle < 0.0)
-                angle = angle_between(plan->reference + 3 * pivot, plan->reference + 3 * star);
-            double error =
-                angle_between(v->b_vectors + 3 * pivot_spot, v->b_vectors + 3 * spot) - angle;
-            if (!(fabs(error) <= v->parameters->tolerance_rad))
+            if (*high < 0.0)
+                chord_bounds(
+                    plan->reference + 3 * pivot, plan->reference + 3 * star, v->parameters, low, high);
+            double *square = room->chord + spot;
+            if (*square < 0.0)
+                *square = chord_square(v->b_vectors + 3 * pivot_spot, v->b_vectors + 3 * spot);
+            if (!(*low <= *square && *square <= *high))
                 continue;
             double difference = (v->spots[spot].magnitude - v->spots[pivot_spot].magnitude) -
                                 (double)(v->hp_mag[plan->star[star]] - v->hp_mag[plan->star[pivot]]);
@@ -252,9 +274,9 @@ static int32_t try_pivot(const verification *v, int32_t pivot, int32_t pivot_spo
                 continue;
             double dx = v->spots[spot].x_px - plan->x_px[star] - shift_x;
             double dy = v->spots[spot].y_px - plan->y_px[star] - shift_y;
-            double square = dx * dx + dy * dy;
-            if (square < nearest) {
-                nearest = square;
+            double distance = dx * dx + dy * dy;
+            if (distance < nearest) {
+                nearest = distance;
                 best = spot;
             }
         }
@@ -313,6 +335,7 @@ int32_t st_verify_by_pivot(
     int32_t enough = larger(parameters->min_stars, (*found + 1) >> 1);
     for (int32_t pivot = 0; pivot < plan->stars; pivot++) {
         const int32_t *from = room->spot_from + plan->window[pivot];
+        forget(room->high, plan->stars);
         for (int32_t pivot_spot = from[0]; pivot_spot < from[1]; pivot_spot++) {
             int32_t number = try_pivot(&v, pivot, pivot_spot);
             if (number < enough)

@@ -15,7 +15,8 @@ typedef struct {
 
 typedef struct {
     double rate_rad_s; /* omega, the largest rate that windows allow for */
-    double tolerance_rad;
+    double cos_half_tolerance; /* of half the largest error of the angle between the pivot and a star */
+    double sin_half_tolerance;
     double star_radius_px;
     double magnitude_tolerance;
     double pixels_per_degree; /* eps, of the camera */
@@ -81,6 +82,9 @@ int32_t st_merge_windows(
 typedef struct {
     int32_t *trial;     /* stars */
     double *distance;   /* stars */
+    double *low;        /* stars: squares of chords that are within the tolerance of the pivot's and the star's */
+    double *high;       /* stars; below zero: not computed */
+    double *chord;      /* spots: square of the chord to the pivot's spot; below zero: not computed */
     int32_t *owner;     /* spots */
     int32_t *spot_from; /* windows + 1 */
     int32_t *in_window; /* windows */

@@ -480,7 +480,7 @@ def test_work_is_counted_by_what_was_done(bench: Callable[..., Bench]) -> None:
     assert again.work["observer_velocities"] == 1
     assert tracked["threshold_pixels"] == 0
     assert tracked["windows"] == b.results[1].windows
-    assert tracked["angles_verified"] >= tracked["spots_assigned"] >= b.results[1].stars_identified - 1
+    assert tracked["angles_compared"] >= tracked["spots_assigned"] >= b.results[1].stars_identified - 1
     assert all(COUNTS[name].stage != "identification" for name, count in tracked.counts.items() if count)
     assert all(COUNTS[name].stage != "tracking" for name, count in found.counts.items() if count)
 

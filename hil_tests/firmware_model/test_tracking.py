@@ -279,7 +279,10 @@ def test_verification_counts_its_angles() -> None:
     spots = np.bincount(found.window[others], minlength=len(plan.rects))[plan.window]
     spots[pivot] = 0
     assert work["pivots_tried"] == 1
-    assert work["angles_verified"] == spots.sum() > np.count_nonzero(spots)
+    assert work["angles_compared"] == spots.sum() > np.count_nonzero(spots)
+    of_others = np.isin(found.window, np.delete(plan.window, pivot)) & others
+    assert work["angles_verified"] == np.count_nonzero(of_others)
+    assert work["verified_entries"] == len(plan.star) + len(plan.rects) + len(found.window)
     assert work["reference_angles"] == np.count_nonzero(spots)
 
 
