@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from capstone import CS_ARCH_ARM, CS_MODE_ARM, Cs
-from tools.arm_timing import timing_table
-from tools.arm_timing.machine import ArmMachine
 
 from hil_tests.arm.programs import RETURN, texts_of, words_of, write_elf
 from hil_tests.arm.timing_oracle import record, total_of
+from tools.arm_timing import timing_table
+from tools.arm_timing.machine import ArmMachine
 
 LISTING = Path(__file__).with_name("micro_programs.txt")
 RETURN_CYCLES = 3

@@ -1,8 +1,9 @@
 """The timing once more, slowly and by other means, to hold the compiled one against.
 
-What was executed is written down by Python callbacks, with flags and accesses; each instruction is read from its
-disassembly (capstone's text), not from its encoding; every register has a time at which each kind of operand can
-have it, instead of masks that age; caches are lists of lines. The numbers are read off the manuals again.
+What was executed is written down by Python callbacks, with flags and accesses; each instruction is read from
+its disassembly (capstone's text), not from its encoding; every register has a time at which each kind of
+operand can have it, instead of masks that age; caches are lists of lines. The numbers are read off the
+manuals again.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from capstone import CS_ARCH_ARM, CS_MODE_ARM, Cs
-from tools.arm_timing.machine import EXIT_ADDRESS, ArmMachine, Cost
 from unicorn import UC_HOOK_CODE, UC_HOOK_MEM_READ, UC_HOOK_MEM_WRITE
 from unicorn.arm_const import UC_ARM_REG_CPSR
 from unicorn.unicorn_const import UC_MEM_WRITE
+
+from tools.arm_timing.machine import EXIT_ADDRESS, ArmMachine, Cost
 
 NAMES = {f"r{n}": n for n in range(13)} | {
     "sb": 9,
@@ -184,7 +186,7 @@ def _transfer(name: str, text: str, registers: tuple[int, ...]) -> Read:
     double = name.endswith("d")
     data = registers[:2] if double else registers[:1]
     address = registers[len(data) :]
-    scaled = int(any(f"{shift} #" in text or shift == "rrx" and "rrx" in text for shift in SHIFTS))
+    scaled = int(any(f"{shift} #" in text or (shift == "rrx" and "rrx" in text) for shift in SHIFTS))
     moved = address[:1] if "!" in text or "]," in text else ()
     if name.startswith("str"):
         return Read(2 if double else 1 + scaled, address, data[:1], written=moved)
