@@ -286,12 +286,14 @@ def _rate_too_high(
     before_rad2: FloatArray | None,
     now_rad2: FloatArray,
     configuration: FirmwareConfiguration,
+    work: Work,
 ) -> bool:
     """Whether a rate is over the tracking rate by more than the margin and three sigma."""
     rate = math.sqrt(float(rate_rad_s @ rate_rad_s))
     limit = configuration.tracking.rate_rad_s * (1.0 + configuration.tracking.rate_margin)
     if rate <= limit:
         return False
+    work.add("rates_over_limit")
     axis = rate_rad_s / rate
     variance = float(axis @ now_rad2 @ axis)
     if before_rad2 is not None:
@@ -324,7 +326,10 @@ def _conclude(
         if before is not None and measured and 0 < interval_ns <= configuration.solved_validity_ns:
             interval_s = interval_ns * 1e-9
             rate = angular_rate(before, solution.q_icrs_to_sensor, interval_s)
-            if _rate_too_high(rate, interval_s, covariance, solution.covariance_rad2, configuration):
+            rate_work = Work({"rate_solves": 1})
+            if _rate_too_high(
+                rate, interval_s, covariance, solution.covariance_rad2, configuration, rate_work
+            ):
                 reasons |= Reason.RATE_TOO_HIGH
             log.step(
                 "rate",
@@ -337,7 +342,7 @@ def _conclude(
                     "tracking": configuration.tracking,
                 },
                 rate,
-                Work({"rate_solves": 1}),
+                rate_work,
             )
         state = replace(
             state,

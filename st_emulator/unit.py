@@ -16,6 +16,7 @@ import numpy as np
 from .clock import NS_PER_MS, NS_PER_US, ScheduledEvent, VirtualClock
 from .firmware_model.configuration import StarTables
 from .firmware_model.firmware import FirmwareState
+from .firmware_model.link_work import line_work, telecommand_work
 from .firmware_model.modes import Mode, ModeEvent, next_mode
 from .firmware_model.reasons import Reason
 from .firmware_model.work import Work
@@ -289,10 +290,10 @@ class StarTracker:
 
     def bytes_received(self, count: int) -> None:
         self.link_counters.rx_bytes += count
-        self._reception.add("telecommand_bytes", count)
+        self._reception += line_work(count)
 
     def packet_received(self, raw: bytes, last_bit_ns: int) -> None:
-        self._reception += Work({"telecommands": 1, "crc_bytes": len(raw)})
+        self._reception += telecommand_work(len(raw))
         latency_ns = self.profile.timing.telecommand_latency_us * NS_PER_US
         self.later(latency_ns, partial(self._handle, raw, last_bit_ns))
 
@@ -360,6 +361,8 @@ class StarTracker:
         work = self.transmitter.take_work()
         work += self._reception
         self._reception = Work()
+        if any(work.counts.values()):
+            work.add("link_rounds")
         return work
 
     def onboard_tai_ns(self, t_ns: int) -> int | None:

@@ -118,6 +118,7 @@ def test_work_on_the_line_is_that_of_its_packets(new_bench: MakeBench) -> None:
     assert 0 < work["telemetry_bytes"] <= unit.transmitter.bytes - sent  # escapes and ENDs are more
     assert work["crc_bytes"] == work["telemetry_bytes"] + 13  # the ping's packet
     assert work["image_bytes"] == 0
+    assert work["link_rounds"] == 1
     assert unit.link_work() == Work()
 
 

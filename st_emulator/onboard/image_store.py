@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..firmware_model.link_work import kept_image_work
 from ..protocol.enumerations import EventId, FailureCode
 from ..protocol.packets import CucTime, crc16_ccitt
 from ..protocol.services.large_data import IMAGE_HEADER_BYTES, encode_image_header
@@ -69,6 +70,7 @@ class ImageStore:
         )
         assert len(header) == IMAGE_HEADER_BYTES
         self.data = header + image
+        self._unit.transmitter.work += kept_image_work(len(image) // 2)
         self._unit.raise_event(EventId.IMAGE_CAPTURED, frame_index=record.index, bytes=len(self.data))
         if self._capture is not None:
             self._capture.completed()

@@ -8,6 +8,7 @@ from collections import defaultdict
 from typing import Any
 
 from ..clock import VirtualClock
+from ..firmware_model.link_work import packet_work
 from ..firmware_model.work import Work
 from ..protocol.registry import REGISTRY, encode_telemetry
 from ..wire.port import UnitPort
@@ -88,10 +89,7 @@ class Transmitter:
         )
         data = fields.get("data")  # a copy of an image or of memory
         copied = len(data) if isinstance(data, bytes) else 0
-        self.work.add("packets")
-        self.work.add("telemetry_bytes", len(packet) - copied)
-        self.work.add("image_bytes", copied)
-        self.work.add("crc_bytes", len(packet))
+        self.work += packet_work(len(packet), copied)
         # Both counters go on for a lost packet, so that the receiver sees the gap.
         self._sequence_count = (self._sequence_count + 1) & 0x3FFF
         self._message_counts[kind] = (self._message_counts[kind] + 1) & 0xFFFF
