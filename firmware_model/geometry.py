@@ -153,6 +153,18 @@ class CameraGeometry:
         """Whether any distortion term is not zero."""
         return any((self.k1, self.k2, self.p1, self.p2))
 
+    @property
+    def kernel_parameters(self) -> tuple[float, ...]:
+        """What the kernels need: focal length, cx, cy, k1, k2, p1, p2 and the largest (X/Z)^2 + (Y/Z)^2 before
+        the distortion folds back (inf: it never does).
+        """
+        return self._camera
+
+    @property
+    def plane_normals(self) -> FloatArray:
+        """Normals of the planes of ``in_field`` without a margin, ``float64[4, 3]``."""
+        return self._normals
+
     def unit_vectors(self, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
         """Directions in S of points of the image: ``float64[n], float64[n] -> float64[n, 3]``, unit."""
         return self.counted_unit_vectors(x_px, y_px)[0]
