@@ -155,8 +155,8 @@ class CameraGeometry:
 
     @property
     def kernel_parameters(self) -> tuple[float, ...]:
-        """What the kernels need: focal length, cx, cy, k1, k2, p1, p2 and the largest (X/Z)^2 + (Y/Z)^2 before
-        the distortion folds back (inf: it never does).
+        """Focal length, cx, cy, k1, k2, p1, p2 and the largest (X/Z)^2 + (Y/Z)^2 before the distortion folds
+        back (inf: it never does).
         """
         return self._camera
 
