@@ -109,7 +109,7 @@ def test_replacement_is_round_robin_and_not_least_recently_used(caches):
     """A B C D A E A: of four ways E replaces A, the oldest, although it was used last."""
     step = 4 << 10  # the same set in a cache of 4 KiB, others in one of 32 KiB
     base = caches.reserve(64 << 10)
-    a, b, c, d, e = (base + 1024 + step * index for index in range(5))  # not in the set of the list
+    a, b, c, d, e = (base + 512 + step * index for index in range(5))  # not in the set of the list
     cost = follow(caches, [a, b, c, d, a, e, a])
     list_lines = 1
     assert cost.data_fills[4] == 6 + list_lines
