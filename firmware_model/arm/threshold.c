@@ -146,6 +146,7 @@ typedef struct {
     int32_t whole;      /* whole blocks in a row */
     int32_t rest;
     int32_t wide;       /* pixels may have more than NARROW_BITS */
+    int32_t found;      /* a row's pixels over the threshold: whether there are any; kept up to date */
 } scan_terms;
 
 /* One block of a row: the average when it was reached and its pixels over the threshold, the first one the
@@ -185,7 +186,7 @@ static NOINLINE uint32_t pixels_over(const uint16_t *pixel, int32_t pixels, uint
 
 /* A row's last pixels, or any that do not begin at a whole word: one by one. */
 static int32_t scan_pixels(
-    const uint16_t *pixel, int32_t pixels, const scan_terms *terms, int32_t average, block *here)
+    const uint16_t *pixel, int32_t pixels, scan_terms *terms, int32_t average, block *here)
 {
     uint32_t limit = limit_of(average, terms);
     uint32_t sum = 0;
@@ -197,7 +198,11 @@ static int32_t scan_pixels(
             largest = value;
     }
     here->average = average;
-    here->over = largest > limit ? pixels_over(pixel, pixels, limit, &sum) : 0;
+    here->over = 0;
+    if (largest > limit) {
+        here->over = pixels_over(pixel, pixels, limit, &sum);
+        terms->found = 1;
+    }
     int32_t mean = (int32_t)(((uint64_t)sum << ST_BACKGROUND_BITS) / (uint32_t)pixels);
     return moved(average, mean, pixels == ST_BLOCK_PX ? terms->gain : terms->rest_gain);
 }
@@ -229,7 +234,7 @@ static inline uint32_t sum_wide(const uint32_t *word, uint32_t lift, uint32_t *o
 
 /* The whole blocks of a row, step 1 from the first, or -1 from the last; returns the average after them. */
 static inline int32_t scan_blocks(
-    const uint16_t *pixel, int32_t step, int32_t wide, const scan_terms *terms, int32_t average, block *here)
+    const uint16_t *pixel, int32_t step, int32_t wide, scan_terms *terms, int32_t average, block *here)
 {
     for (int32_t left = terms->whole; left > 0; left--) {
         const uint32_t *word = (const uint32_t *)(const void *)pixel;
@@ -241,7 +246,11 @@ static inline int32_t scan_blocks(
         lift |= lift << 16;
         uint32_t sum = wide ? sum_wide(word, lift, &seen) : sum_narrow(word, lift, &seen);
         here->average = average;
-        here->over = seen & TOP_BITS ? pixels_over(pixel, ST_BLOCK_PX, limit, &sum) : 0;
+        here->over = 0;
+        if (seen & TOP_BITS) {
+            here->over = pixels_over(pixel, ST_BLOCK_PX, limit, &sum);
+            terms->found = 1;
+        }
         average = moved(average, (int32_t)(sum << (ST_BACKGROUND_BITS - BLOCK_BITS)), terms->gain);
         pixel += step * ST_BLOCK_PX;
         here += step;
@@ -250,20 +259,20 @@ static inline int32_t scan_blocks(
 }
 
 static NOINLINE int32_t scan_narrow(
-    const uint16_t *pixel, int32_t step, const scan_terms *terms, int32_t average, block *here)
+    const uint16_t *pixel, int32_t step, scan_terms *terms, int32_t average, block *here)
 {
     return scan_blocks(pixel, step, 0, terms, average, here);
 }
 
 static NOINLINE int32_t scan_wide(
-    const uint16_t *pixel, int32_t step, const scan_terms *terms, int32_t average, block *here)
+    const uint16_t *pixel, int32_t step, scan_terms *terms, int32_t average, block *here)
 {
     return scan_blocks(pixel, step, 1, terms, average, here);
 }
 
 /* A row in its direction; returns the average after it. */
 static int32_t scan_row(
-    const uint16_t *line, int32_t backwards, const scan_terms *terms, int32_t average, block *blocks)
+    const uint16_t *line, int32_t backwards, scan_terms *terms, int32_t average, block *blocks)
 {
     int32_t whole = terms->whole;
     int32_t step = backwards ? -1 : 1;
@@ -353,12 +362,10 @@ int32_t st_threshold_scan(
     terms.wide = threshold->bits > NARROW_BITS;
     const uint16_t *line = image->pixels;
     for (int32_t row = 0; row < image->rows; row++, line += columns) {
-        uint32_t any = 0;
+        terms.found = 0;
         row_start[row] = table.count;
         average = scan_row(line, row & 1, &terms, average, blocks);
-        for (int32_t at = 0; at < terms.whole + (terms.rest > 0); at++)
-            any |= blocks[at].over;
-        if (any && !runs_of_row(blocks, row, columns, &table)) {
+        if (terms.found && !runs_of_row(blocks, row, columns, &table)) {
             while (row < image->rows)
                 row_start[++row] = table.count;
             return -1 - table.count;

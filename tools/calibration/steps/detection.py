@@ -1,0 +1,366 @@
+"""Full-frame detection on the ARM: threshold, clustering and centroid, told apart."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from st_emulator.firmware_model.frame_trace import StepRecord
+from st_emulator.firmware_model.image import centroid, clustering
+from st_emulator.firmware_model.image.clustering import BLOCK_PX, RUN_FIELDS
+from st_emulator.firmware_model.image.detection import DetectionParameters, spots_of_table
+from st_emulator.firmware_model.image.spots import Rejections, Spots
+from st_emulator.firmware_model.work import COUNTS, Work
+from tools.arm_timing.machine import ArmMachine, Cost
+from tools.calibration.steps.step import MismatchError, StageRun
+
+__all__ = [
+    "BACKGROUND_BOUND_DN",
+    "BOUNDS",
+    "CLUSTER",
+    "FLUX_BOUND",
+    "LIMIT_BOUND_DN",
+    "ONE_DN",
+    "SPOT",
+    "STAGES",
+    "STEPS",
+    "DetectStep",
+    "DetectionRun",
+    "compare",
+    "place_spot_limits",
+    "run_detection",
+    "spots_of_structs",
+    "threshold_levels",
+]
+
+STAGES = ("threshold", "clustering", "centroid")
+
+# Largest differences from the Python stage; background and noise of the frame are equal.
+BOUNDS = {"x_px": 1e-3, "y_px": 1e-3, "magnitude": 2e-4, "peak_dn": 1e-3}
+FLUX_BOUND = 1e-4  # of the flux
+BACKGROUND_BOUND_DN = 5e-4  # of a run
+# A pixel may be judged otherwise that equals the threshold where that is so near to a whole number.
+LIMIT_BOUND_DN = 5e-4
+
+ONE_DN = 1 << 15  # ST_BACKGROUND_BITS
+_BYTES_OF_WORD = 4
+_SATURATED, _AT_EDGE = 1, 2  # st_spot.flags
+_REASONS = 5
+_MOST_DN = 0xFFFF
+
+SPOT = np.dtype(
+    [(name, "<f8") for name in ("x_px", "y_px", "flux_dn", "magnitude", "peak_dn")]
+    + [("pixels", "<i4"), ("flags", "<i4")]
+)  # st_spot
+_CLUSTER_WORDS = (
+    *("background", "pixels", "brightest_dn", "origin_x", "origin_y"),
+    *("first_x", "last_x", "first_y", "last_y", "reserved"),
+)
+CLUSTER = np.dtype(
+    [(name, "<i8") for name in ("sum", "sum_x", "sum_y")] + [(name, "<i4") for name in _CLUSTER_WORDS]
+)  # st_cluster
+
+
+@dataclass(frozen=True)
+class DetectionRun:
+    """What the kernels made of a frame, and what each of ``STAGES`` cost.
+
+    runs: int32[n, 3]; averages: int32[n], DN times ``ONE_DN``; row_start, label as in ``clustering.py``;
+    clusters: ``CLUSTER[m]``; outcome: int8[m].
+    """
+
+    spots: Spots
+    runs: npt.NDArray[np.int32]
+    averages: npt.NDArray[np.int32]
+    row_start: npt.NDArray[np.int32]
+    label: npt.NDArray[np.int32]
+    clusters: npt.NDArray[np.void]
+    outcome: npt.NDArray[np.int8]
+    costs: dict[str, Cost]
+
+
+def _place_packed(machine: ArmMachine, form: str, *values: float) -> int:
+    return machine.place(np.frombuffer(struct.pack("<" + form, *values), np.uint8))
+
+
+def place_spot_limits(machine: ArmMachine, limits: centroid.SpotLimits) -> int:
+    """An st_spot_limits; its address."""
+    return _place_packed(
+        machine,
+        "4i3d4i7d",
+        limits.half_window,
+        limits.min_pixels,
+        limits.max_pixels,
+        limits.max_extent,
+        limits.max_peak_fraction,
+        limits.zero_point_dn,
+        limits.magnitude_limit,
+        limits.saturation_dn,
+        0,
+        *limits.interpolation,
+    )
+
+
+def spots_of_structs(
+    packed: npt.NDArray[np.void],
+    rejected: Rejections,
+    background_dn: float,
+    noise_dn: float,
+    overflowed: bool,
+) -> Spots:
+    """Spots of ``SPOT[n]``."""
+    return Spots(
+        **{name: packed[name].copy() for name in SPOT.names or () if name != "flags"},
+        saturated=(packed["flags"] & _SATURATED) != 0,
+        at_edge=(packed["flags"] & _AT_EDGE) != 0,
+        background_dn=background_dn,
+        noise_dn=noise_dn,
+        rejected=rejected,
+        overflowed=overflowed,
+    )
+
+
+def run_detection(
+    machine: ArmMachine, image: npt.NDArray[np.uint16], parameters: DetectionParameters
+) -> DetectionRun:
+    """The kernels of ``detection.detect``, stage by stage. ``image``: uint16[rows, columns]."""
+    rows, columns = image.shape
+    picture = _place_packed(machine, "Iii", machine.dma(image), rows, columns)
+    statistics = machine.reserve(16)
+    cost = machine.call("st_frame_statistics", picture, statistics).cost
+    background, noise = (float(value) for value in machine.read(statistics, np.float64, 2))
+
+    over = max(parameters.sigma_factor * noise, parameters.tau_min_dn)
+    # No pixel has more bits than the largest that there can be, or that there is.
+    bits = max(min(parameters.saturation_dn, _MOST_DN), int(image.max())).bit_length()
+    threshold = _place_packed(
+        machine, "2d4i", background, over, parameters.average_pixels, parameters.max_runs, bits, 0
+    )
+    run_table = machine.reserve(RUN_FIELDS * _BYTES_OF_WORD * parameters.max_runs)
+    average_table = machine.reserve(_BYTES_OF_WORD * parameters.max_runs)
+    starts = machine.reserve(_BYTES_OF_WORD * (rows + 1))
+    room = machine.reserve(2 * _BYTES_OF_WORD * (-(-columns // BLOCK_PX)))
+    call = machine.call("st_threshold_scan", picture, threshold, run_table, average_table, starts, room)
+    costs = {"threshold": cost + call.cost}
+    result = call.result - (call.result >> 31 << 32)
+    overflowed, count = result < 0, result if result >= 0 else -1 - result
+
+    labels = machine.reserve(_BYTES_OF_WORD * count)
+    call = machine.call("st_join_runs", run_table, count, starts, rows, labels)
+    number = call.result
+    table = machine.reserve(CLUSTER.itemsize * number)
+    sums = machine.call("st_sum_clusters", picture, run_table, count, average_table, labels, table, number)
+    costs["clustering"] = call.cost + sums.cost
+
+    limits = place_spot_limits(machine, parameters.spot_limits())
+    found = machine.reserve(SPOT.itemsize * number)
+    outcome, rejected = machine.reserve(number), machine.reserve(_BYTES_OF_WORD * _REASONS)
+    work_room = machine.reserve(machine.call("st_centroid_room_bytes", limits).result)
+    call = machine.call(
+        "st_measure_spots",
+        *(picture, run_table, starts, labels, table, number),
+        noise,
+        *(1, 1, limits, found, outcome, rejected, work_room),
+    )
+    measured = call.result
+    ordered = machine.reserve(SPOT.itemsize * measured)
+    order = machine.reserve(2 * _BYTES_OF_WORD * measured)
+    ordering = machine.call("st_order_spots", found, measured, parameters.max_spots, order, ordered)
+    costs["centroid"] = call.cost + ordering.cost
+
+    reasons = machine.read(rejected, np.int32, _REASONS).tolist()
+    return DetectionRun(
+        spots_of_structs(
+            machine.read(ordered, SPOT, ordering.result),
+            replace(Rejections(*reasons), surplus=measured - ordering.result),
+            background,
+            noise,
+            overflowed,
+        ),
+        machine.read(run_table, np.int32, (count, RUN_FIELDS)),
+        machine.read(average_table, np.int32, count),
+        machine.read(starts, np.int32, rows + 1),
+        machine.read(labels, np.int32, count),
+        machine.read(table, CLUSTER, number),
+        machine.read(outcome, np.int8, number),
+        costs,
+    )
+
+
+def threshold_levels(
+    image: npt.NDArray[np.uint16], background_dn: float, over_dn: float, average_pixels: int
+) -> npt.NDArray[np.float64]:
+    """float64[rows, blocks]: average + ``over_dn`` of each block, as ``threshold_scan`` has it."""
+    rows, columns = image.shape
+    blocks = -(-columns // BLOCK_PX)
+    levels = np.empty((rows, blocks))
+    average = background_dn
+    for row in range(rows):
+        order = range(blocks) if row % 2 == 0 else range(blocks - 1, -1, -1)
+        for block in order:
+            pixels = image[row, block * BLOCK_PX : (block + 1) * BLOCK_PX].astype(np.float64)
+            levels[row, block] = average + over_dn
+            kept = np.minimum(pixels, np.floor(average + over_dn))
+            average += (kept.sum() - len(pixels) * average) / max(average_pixels, BLOCK_PX)
+    return levels
+
+
+def compare(
+    run: DetectionRun, image: npt.NDArray[np.uint16], parameters: DetectionParameters, expected: Spots
+) -> bool:
+    """MismatchError unless the kernels made the same of a frame as the Python stage, within the bounds.
+
+    Returns whether the runs are the same to the pixel; where a threshold was rounded otherwise they need not
+    be, and the rest is then compared with what the Python stages make of the kernels' runs.
+    """
+    _same("background_dn", run.spots.background_dn, expected.background_dn)
+    _same("noise_dn", run.spots.noise_dn, expected.noise_dn)
+    over = max(parameters.sigma_factor * expected.noise_dn, parameters.tau_min_dn)
+    runs = np.empty((parameters.max_runs, RUN_FIELDS), np.int32)
+    averages = np.empty(parameters.max_runs)
+    row_start = np.empty(image.shape[0] + 1, np.int32)
+    count, overflowed, _ = clustering.threshold_scan(
+        image, expected.background_dn, over, parameters.average_pixels, runs, averages, row_start
+    )
+    same_runs = np.array_equal(run.runs, runs[:count])
+    if same_runs:
+        _same("row_start", run.row_start, row_start)
+        _same("overflowed", run.spots.overflowed, overflowed)
+        _near("run_background", run.averages / ONE_DN, averages[:count], BACKGROUND_BOUND_DN)
+    elif not overflowed and not run.spots.overflowed:
+        levels = threshold_levels(image, expected.background_dn, over, parameters.average_pixels)
+        _judged_at_the_limit(image, levels, run.runs, runs[:count])
+    label = np.empty(len(run.runs), np.int32)
+    clusters, _ = clustering.join_runs(run.runs, len(run.runs), run.row_start, label)
+    _same("label", run.label, label)
+    table = clustering.sum_clusters(
+        image, run.runs, len(run.runs), run.averages / ONE_DN, run.label, clusters
+    )
+    _compare_clusters(run.clusters, table)
+    if not same_runs:
+        expected = _spots_of_runs(run, image, parameters, table)
+    _compare_spots(run.spots, expected)
+    return same_runs
+
+
+def _same(name: str, ours: object, theirs: object) -> None:
+    if not np.array_equal(np.asarray(ours), np.asarray(theirs)):
+        raise MismatchError(f"detect: {name} is {ours}, {theirs} in Python")
+
+
+def _near(name: str, ours: npt.ArrayLike, theirs: npt.ArrayLike, bound: float, relative: float = 0.0) -> None:
+    off = np.abs(np.asarray(ours) - np.asarray(theirs)) - bound - relative * np.abs(theirs)
+    if not np.all(off <= 0.0):
+        place = int(np.argmax(np.ravel(off)))
+        raise MismatchError(
+            f"detect: {name} {np.ravel(ours)[place]!r}, {np.ravel(theirs)[place]!r} in Python"
+        )
+
+
+def _mask(runs: npt.NDArray[np.int32], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    edges = np.zeros((shape[0], shape[1] + 1), np.int8)
+    np.add.at(edges, (runs[:, 0], runs[:, 1]), 1)
+    np.add.at(edges, (runs[:, 0], runs[:, 2]), -1)
+    return np.asarray(np.cumsum(edges, axis=1)[:, :-1] > 0)
+
+
+def _judged_at_the_limit(
+    image: npt.NDArray[np.uint16],
+    levels: npt.NDArray[np.float64],
+    ours: npt.NDArray[np.int32],
+    theirs: npt.NDArray[np.int32],
+) -> None:
+    rows, columns = np.nonzero(_mask(ours, image.shape) != _mask(theirs, image.shape))
+    levels = levels[rows, columns // BLOCK_PX]
+    wrong = np.abs(levels - image[rows, columns]) > LIMIT_BOUND_DN
+    if len(rows) == 0 or wrong.any():
+        first = int(np.argmax(wrong)) if len(rows) else 0
+        at = f"pixel {columns[first]}, {rows[first]} over {levels[first]}" if len(rows) else "background"
+        raise MismatchError(f"detect: runs differ: {at}")
+
+
+def _compare_clusters(ours: npt.NDArray[np.void], table: npt.NDArray[np.float64]) -> None:
+    whole = {
+        "pixels": clustering.PIXELS,
+        "first_x": clustering.FIRST_X,
+        "last_x": clustering.LAST_X,
+        "first_y": clustering.FIRST_Y,
+        "last_y": clustering.LAST_Y,
+    }
+    for name, column in whole.items():
+        _same(name, ours[name], table[:, column])
+    level = ours["background"] / ONE_DN
+    _near("cluster background", level, table[:, clustering.BACKGROUND], BACKGROUND_BOUND_DN)
+    _near("peak", np.maximum(ours["brightest_dn"] - level, 0.0), table[:, clustering.PEAK], 1e-6)
+    total = ours["sum"] / ONE_DN
+    _near("sum", total, table[:, clustering.SUM], 1e-6, 1e-9)
+    for moment, origin, column in (
+        ("sum_x", "origin_x", clustering.SUM_X),
+        ("sum_y", "origin_y", clustering.SUM_Y),
+    ):
+        _near(moment, ours[moment] / ONE_DN + total * ours[origin], table[:, column], 1e-3, 1e-9)
+
+
+def _spots_of_runs(
+    run: DetectionRun,
+    image: npt.NDArray[np.uint16],
+    parameters: DetectionParameters,
+    table: npt.NDArray[np.float64],
+) -> Spots:
+    """What the Python stage measures of the kernels' clusters."""
+    measured = np.empty((len(table), centroid.SPOT_FIELDS))
+    tally = np.zeros(centroid.TALLIES, np.int64)
+    found = centroid.measure_spots(
+        image,
+        *(run.runs, run.row_start, run.label, table, run.spots.noise_dn, True, 1, parameters.spot_limits()),
+        *(measured, np.empty(len(table), np.int8), tally),
+    )
+    order = np.argsort(-measured[:found, centroid.FLUX], kind="stable")[: parameters.max_spots]
+    rejected = replace(Rejections(*tally[: centroid.FAINT + 1].tolist()), surplus=found - len(order))
+    spots = run.spots
+    return spots_of_table(measured[order], rejected, spots.background_dn, spots.noise_dn, spots.overflowed)
+
+
+def _compare_spots(ours: Spots, theirs: Spots) -> None:
+    _same("rejected", ours.rejected, theirs.rejected)
+    _same("number of spots", len(ours), len(theirs))
+    if np.any(np.diff(ours.flux_dn) > 0.0):
+        raise MismatchError("detect: spots are not in the order of their flux")
+    # Fluxes that are nearly equal may have changed places.
+    ours, theirs = (
+        spots.take(np.lexsort((spots.x_px.round(2), spots.y_px.round(1)))) for spots in (ours, theirs)
+    )
+    for name in ("pixels", "saturated", "at_edge"):
+        _same(name, getattr(ours, name), getattr(theirs, name))
+    for name, bound in BOUNDS.items():
+        _near(name, getattr(ours, name), getattr(theirs, name), bound)
+    _near("flux_dn", ours.flux_dn, theirs.flux_dn, 0.0, FLUX_BOUND)
+
+
+class DetectStep:
+    """Steps 1 to 3 of the papers' chains: threshold, clusters, centroids of a full frame."""
+
+    name = "detect"
+
+    def run(self, machine: ArmMachine, record: StepRecord) -> Sequence[StageRun]:
+        """One run of each of ``STAGES``."""
+        image, parameters = record.arguments["image"], record.arguments["parameters"]
+        try:
+            run = run_detection(machine, image, parameters)
+        finally:
+            machine.release()
+        compare(run, image, parameters, record.result)
+        return [
+            StageRun(self.name, stage, cost, _part(record.work, stage)) for stage, cost in run.costs.items()
+        ]
+
+
+def _part(work: Work, stage: str) -> Work:
+    return Work({name: number for name, number in work.counts.items() if COUNTS[name].stage == stage})
+
+
+STEPS = (DetectStep(),)
