@@ -7,14 +7,23 @@ from __future__ import annotations
 
 from .work import Work
 
-__all__ = ["kept_image_work", "line_work", "packet_work", "telecommand_work"]
+__all__ = ["kept_image_work", "line_work", "packet_work", "round_work", "telecommand_work"]
+
+
+def round_work(sent: Work, received: Work) -> Work:
+    """All that the link asked for between two frames: ``sent`` for packets, ``received`` for telecommands."""
+    work = sent + received
+    if any(sent.counts.values()):
+        work.add("sending_rounds")
+    if any(received.counts.values()):
+        work.add("receiving_rounds")
+    return work
 
 
 def packet_work(packet_bytes: int, copied_bytes: int = 0) -> Work:
     """A telemetry packet of so many bytes, of which so many are a copy of an image or of memory."""
     return Work(
         {
-            "packets": 1,
             "telemetry_bytes": packet_bytes - copied_bytes,
             "image_bytes": copied_bytes,
             "crc_bytes": packet_bytes,
@@ -27,9 +36,12 @@ def line_work(line_bytes: int) -> Work:
     return Work({"telecommand_bytes": line_bytes})
 
 
-def telecommand_work(packet_bytes: int) -> Work:
-    """The headers and the error control of a received packet checked."""
-    return Work({"telecommands": 1, "crc_bytes": packet_bytes})
+def telecommand_work(packet: bytes) -> Work:
+    """The headers of a received packet checked, and its error control where the length is right."""
+    work = Work({"telecommands": 1})
+    if len(packet) == int.from_bytes(packet[4:6], "big") + 7:  # the field is one less than what follows it
+        work.add("crc_bytes", len(packet))
+    return work
 
 
 def kept_image_work(pixels: int) -> Work:

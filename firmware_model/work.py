@@ -116,8 +116,8 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("false_solutions", "attitude", "chance of a false solution computed (logarithms)"),
     ("spread_stars", "attitude", "star whose angle from the stars' mean is computed for that chance"),
     # telemetry
-    ("link_rounds", "telemetry", "packets in or out between two frames: code and tables not in the caches"),
-    ("packets", "telemetry", "telemetry packet begun and completed"),
+    ("sending_rounds", "telemetry", "packets sent between two frames: code and tables not in the caches"),
+    ("receiving_rounds", "telemetry", "bytes received between two frames: code not in the caches"),
     ("telemetry_bytes", "telemetry", "byte packed into a telemetry packet and put on the line"),
     ("crc_bytes", "telemetry", "byte put through the CRC"),
     ("telecommands", "telemetry", "telecommand's headers checked"),

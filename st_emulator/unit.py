@@ -16,7 +16,7 @@ import numpy as np
 from .clock import NS_PER_MS, NS_PER_US, ScheduledEvent, VirtualClock
 from .firmware_model.configuration import StarTables
 from .firmware_model.firmware import FirmwareState
-from .firmware_model.link_work import line_work, telecommand_work
+from .firmware_model.link_work import line_work, round_work, telecommand_work
 from .firmware_model.modes import Mode, ModeEvent, next_mode
 from .firmware_model.reasons import Reason
 from .firmware_model.work import Work
@@ -293,7 +293,7 @@ class StarTracker:
         self._reception += line_work(count)
 
     def packet_received(self, raw: bytes, last_bit_ns: int) -> None:
-        self._reception += telecommand_work(len(raw))
+        self._reception += telecommand_work(raw)
         latency_ns = self.profile.timing.telecommand_latency_us * NS_PER_US
         self.later(latency_ns, partial(self._handle, raw, last_bit_ns))
 
@@ -358,12 +358,8 @@ class StarTracker:
         return self.parameters.frame_settings()
 
     def link_work(self) -> Work:
-        work = self.transmitter.take_work()
-        work += self._reception
-        self._reception = Work()
-        if any(work.counts.values()):
-            work.add("link_rounds")
-        return work
+        received, self._reception = self._reception, Work()
+        return round_work(self.transmitter.take_work(), received)
 
     def onboard_tai_ns(self, t_ns: int) -> int | None:
         return self.time.tai_ns(t_ns) if self.time.synchronised else None
