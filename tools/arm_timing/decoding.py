@@ -120,8 +120,8 @@ def _extra_load_store(word: int) -> Decoded | None:
     base, data, _, offset = _fields(word)
     kind, load = word >> 5 & 3, word >> 20 & 1
     indexed_before, write_back = word >> 24 & 1, word >> 21 & 1
-    if not indexed_before and write_back:
-        return None  # ARMv6T2
+    if (not indexed_before and write_back) or data == PC:
+        return None  # ARMv6T2; unpredictable
     reads = _bit(base) | (0 if word >> 22 & 1 else _bit(offset))
     writes = _bit(base) if write_back or not indexed_before else 0
     if load:
