@@ -138,23 +138,24 @@ void st_frame_statistics(const st_image *image, st_statistics *statistics)
     statistics->noise_dn = noise;
 }
 
-/* What the blocks of a frame have to go by. */
-typedef struct {
-    uint32_t over;      /* DN over the average, ST_BACKGROUND_BITS behind the point */
-    int32_t gain;       /* how far a whole block moves the average, 2^GAIN_BITS: all the way */
-    int32_t rest_gain;  /* and a row's last one of rest pixels */
-    int32_t whole;      /* whole blocks in a row */
-    int32_t rest;
-    int32_t wide;       /* pixels may have more than NARROW_BITS */
-    int32_t found;      /* a row's pixels over the threshold: whether there are any; kept up to date */
-} scan_terms;
-
 /* One block of a row: the average when it was reached and its pixels over the threshold, the first one the
  * highest bit. */
 typedef struct {
     int32_t average;
     uint32_t over;
 } block;
+
+/* What the blocks of a frame have to go by. */
+typedef struct {
+    uint32_t over;     /* DN over the average, ST_BACKGROUND_BITS behind the point */
+    int32_t gain;      /* how far a whole block moves the average, 2^GAIN_BITS: all the way */
+    int32_t rest_gain; /* and a row's last one of rest pixels */
+    int32_t whole;     /* whole blocks in a row */
+    int32_t rest;
+    int32_t wide;       /* pixels may have more than NARROW_BITS */
+    block *first_found; /* the first of a row's blocks with a pixel over the threshold, so far */
+    block *last_found;
+} scan_terms;
 
 static inline uint32_t limit_of(int32_t average, const scan_terms *terms)
 {
@@ -184,35 +185,31 @@ static NOINLINE uint32_t pixels_over(const uint16_t *pixel, int32_t pixels, uint
     return over << (ST_BLOCK_PX - pixels);
 }
 
-/* A row's last pixels, or any that do not begin at a whole word: one by one. */
-static int32_t scan_pixels(
-    const uint16_t *pixel, int32_t pixels, scan_terms *terms, int32_t average, block *here)
+/* Note the pixels of a block that are over the threshold. */
+static inline void keep_over(
+    block *here, scan_terms *terms, const uint16_t *pixel, int32_t pixels, uint32_t limit, uint32_t *sum)
 {
-    uint32_t limit = limit_of(average, terms);
-    uint32_t sum = 0;
-    uint32_t largest = 0;
-    for (int32_t i = 0; i < pixels; i++) {
-        uint32_t value = pixel[i];
-        sum += value;
-        if (value > largest)
-            largest = value;
-    }
-    here->average = average;
-    here->over = 0;
-    if (largest > limit) {
-        here->over = pixels_over(pixel, pixels, limit, &sum);
-        terms->found = 1;
-    }
-    int32_t mean = (int32_t)(((uint64_t)sum << ST_BACKGROUND_BITS) / (uint32_t)pixels);
-    return moved(average, mean, pixels == ST_BLOCK_PX ? terms->gain : terms->rest_gain);
+    here->over = pixels_over(pixel, pixels, limit, sum);
+    if (here < terms->first_found)
+        terms->first_found = here;
+    if (here > terms->last_found)
+        terms->last_found = here;
 }
 
-#define FOUR_WORDS(ADD, at) ADD(word[at]) ADD(word[at + 1]) ADD(word[at + 2]) ADD(word[at + 3])
-#define SIXTEEN_WORDS(ADD) FOUR_WORDS(ADD, 0) FOUR_WORDS(ADD, 4) FOUR_WORDS(ADD, 8) FOUR_WORDS(ADD, 12)
+/* Added to a pixel it sets the highest bit of one over limit. A pixel of 32768 DN or more has that set
+ * already: whether it is over a limit as high, pixels_over tells. */
+static inline uint32_t lift_of(uint32_t limit)
+{
+    uint32_t lift = limit < 0x7fff ? 0x7fff - limit : 0;
+    return lift | lift << 16;
+}
+
 #define ADD_NARROW(pair) both += pair; seen |= pair + lift;
 #define ADD_WIDE(pair) both += pair; upper += pair >> 16; seen |= pair | (pair + lift);
+#define FOUR_WORDS(ADD, at) ADD(word[at]) ADD(word[at + 1]) ADD(word[at + 2]) ADD(word[at + 3])
+#define SIXTEEN_WORDS(ADD) FOUR_WORDS(ADD, 0) FOUR_WORDS(ADD, 4) FOUR_WORDS(ADD, 8) FOUR_WORDS(ADD, 12)
 
-/* The sum of a block's pixels; in *seen the highest bit of each pixel's place is set if one of them is over
+/* The sum of a block's pixels; in *over the highest bit of each pixel's place is set if one of them is over
  * what lift was made from. */
 static inline uint32_t sum_narrow(const uint32_t *word, uint32_t lift, uint32_t *over)
 {
@@ -232,6 +229,43 @@ static inline uint32_t sum_wide(const uint32_t *word, uint32_t lift, uint32_t *o
     return both - (upper << 16) + upper;
 }
 
+/* The same of any number of pixels: two in a word, or one by one where they do not make whole words. */
+static uint32_t sum_pixels(const uint16_t *pixel, int32_t pixels, uint32_t lift, uint32_t *over)
+{
+    uint32_t both = 0, upper = 0, seen = 0;
+    if (((uintptr_t)pixel & 2) || (pixels & 1)) {
+        for (; pixels > 0; pixels--) {
+            uint32_t one = *pixel++;
+            ADD_NARROW(one)
+            seen |= one;
+        }
+        *over = seen;
+        return both;
+    }
+    const uint32_t *word = (const uint32_t *)(const void *)pixel;
+    for (; pixels > 0; pixels -= 2) {
+        uint32_t two = *word++;
+        ADD_WIDE(two)
+    }
+    *over = seen;
+    return both - (upper << 16) + upper;
+}
+
+/* A row's last pixels, or a block that does not begin at a whole word. */
+static NOINLINE int32_t scan_pixels(
+    const uint16_t *pixel, int32_t pixels, scan_terms *terms, int32_t average, block *here)
+{
+    uint32_t limit = limit_of(average, terms);
+    uint32_t seen;
+    uint32_t sum = sum_pixels(pixel, pixels, lift_of(limit), &seen);
+    here->average = average;
+    here->over = 0;
+    if (seen & TOP_BITS)
+        keep_over(here, terms, pixel, pixels, limit, &sum);
+    int32_t mean = (int32_t)(((uint64_t)sum << ST_BACKGROUND_BITS) / (uint32_t)pixels);
+    return moved(average, mean, pixels == ST_BLOCK_PX ? terms->gain : terms->rest_gain);
+}
+
 /* The whole blocks of a row, step 1 from the first, or -1 from the last; returns the average after them. */
 static inline int32_t scan_blocks(
     const uint16_t *pixel, int32_t step, int32_t wide, scan_terms *terms, int32_t average, block *here)
@@ -239,18 +273,13 @@ static inline int32_t scan_blocks(
     for (int32_t left = terms->whole; left > 0; left--) {
         const uint32_t *word = (const uint32_t *)(const void *)pixel;
         uint32_t limit = limit_of(average, terms);
-        /* Added to a pixel it sets the highest bit of one over limit. A pixel of 32768 DN or more has that
-         * set already: whether it is over a limit as high, pixels_over tells. */
-        uint32_t lift = limit < 0x7fff ? 0x7fff - limit : 0;
+        uint32_t lift = lift_of(limit);
         uint32_t seen;
-        lift |= lift << 16;
         uint32_t sum = wide ? sum_wide(word, lift, &seen) : sum_narrow(word, lift, &seen);
         here->average = average;
         here->over = 0;
-        if (seen & TOP_BITS) {
-            here->over = pixels_over(pixel, ST_BLOCK_PX, limit, &sum);
-            terms->found = 1;
-        }
+        if (seen & TOP_BITS)
+            keep_over(here, terms, pixel, ST_BLOCK_PX, limit, &sum);
         average = moved(average, (int32_t)(sum << (ST_BACKGROUND_BITS - BLOCK_BITS)), terms->gain);
         pixel += step * ST_BLOCK_PX;
         here += step;
@@ -298,13 +327,17 @@ typedef struct {
     int32_t count, capacity;
 } run_table;
 
-/* The runs of a row from its blocks; 0 where the table is full. */
-static NOINLINE int32_t runs_of_row(const block *blocks, int32_t row, int32_t columns, run_table *table)
+/* The runs of a row from its blocks between the first and the last that were found to have pixels over the
+ * threshold; 0 where the table is full. */
+static NOINLINE int32_t runs_of_row(
+    const scan_terms *terms, const block *blocks, int32_t row, int32_t columns, run_table *table)
 {
     st_run *run = table->runs + table->count;
+    const block *here = terms->first_found;
+    int32_t first = (here - blocks) * ST_BLOCK_PX;
     int32_t inside = 0;
-    for (int32_t first = 0; first < columns; first += ST_BLOCK_PX, blocks++) {
-        uint32_t over = blocks->over;
+    for (; here <= terms->last_found; first += ST_BLOCK_PX, here++) {
+        uint32_t over = here->over;
         int32_t column = first;
         if (over == 0 && !inside)
             continue;
@@ -327,12 +360,12 @@ static NOINLINE int32_t runs_of_row(const block *blocks, int32_t row, int32_t co
                 return 0;
             run->row = row;
             run->first = column;
-            table->background[table->count++] = blocks->average;
+            table->background[table->count++] = here->average;
             inside = 1;
         }
     }
     if (inside)
-        run->end = columns;
+        run->end = least_of(first, columns);
     return 1;
 }
 
@@ -362,10 +395,11 @@ int32_t st_threshold_scan(
     terms.wide = threshold->bits > NARROW_BITS;
     const uint16_t *line = image->pixels;
     for (int32_t row = 0; row < image->rows; row++, line += columns) {
-        terms.found = 0;
+        terms.first_found = blocks + terms.whole + 1;
+        terms.last_found = blocks;
         row_start[row] = table.count;
         average = scan_row(line, row & 1, &terms, average, blocks);
-        if (terms.found && !runs_of_row(blocks, row, columns, &table)) {
+        if (terms.first_found <= terms.last_found && !runs_of_row(&terms, blocks, row, columns, &table)) {
             while (row < image->rows)
                 row_start[++row] = table.count;
             return -1 - table.count;

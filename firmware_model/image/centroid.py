@@ -25,8 +25,8 @@ SPOT_FIELDS = 8
 # int64[TALLIES]: rejections by reason, then work
 SMALL, LARGE, SHARP, EDGE, FAINT = range(5)
 PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(5, 10)
-REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS = range(10, 14)
-TALLIES = 14
+TABLES, REFUSED, MASK_ROWS, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED = range(10, 17)
+TALLIES = 17
 
 
 class SpotLimits(NamedTuple):
@@ -46,7 +46,9 @@ class SpotLimits(NamedTuple):
 def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
     """Counts of the stage centroid of what ``measure_spots`` has tallied."""
     return {
+        "cluster_tables": tally[TABLES],
         "clusters_refused": tally[REFUSED],
+        "mask_rows": tally[MASK_ROWS],
         "mask_pixels": tally[MASK_PIXELS],
         "mask_runs": tally[MASK_RUNS],
         "marked_pixels": tally[MARKED_PIXELS],
@@ -54,6 +56,7 @@ def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
         "centroid_stars": tally[PASSES],
         "centroid_pixels": tally[WINDOW_PIXELS],
         "centroid_interpolations": tally[INTERPOLATIONS],
+        "interpolations_solved": tally[SOLVED],
     }
 
 
@@ -91,6 +94,7 @@ def _paint(
     mask[:, :] = 0
     rows = row_start.shape[0] - 1
     first_row, end_row = max(top - reach, 0), min(top + height + reach, rows)
+    tally[MASK_ROWS] += height
     tally[MASK_PIXELS] += width * height
     tally[MASK_RUNS] += row_start[end_row] - row_start[first_row]
     for row in range(first_row, end_row):
@@ -186,6 +190,7 @@ def measure_spots(
     ``limits.interpolation.wanted``: the centroid of an unsaturated spot that is a Gaussian of the unit's
     width is then taken by (6), see ``interpolation.py``; flux and verdict are those above.
     """
+    tally[TABLES] += 1
     rows, columns = image.shape
     nominal = limits.half_window + 0.5
     # sqrt of the sum of x^2 over the window: what noise does to the centre of mass
@@ -301,7 +306,7 @@ def measure_spots(
                 if limits.interpolation.wanted and not saturated:
                     # two axes; a spot that is no Gaussian is found out by the same sums
                     tally[INTERPOLATIONS] += 2
-                    good, place_x, place_y = interpolate(
+                    solved, good, place_x, place_y = interpolate(
                         image,
                         mask,
                         left,
@@ -313,6 +318,7 @@ def measure_spots(
                         window_factor * noise_dn / flux,
                         limits.interpolation,
                     )
+                    tally[SOLVED] += solved
                     if good:
                         centre_x, centre_y = place_x, place_y
                 spot = spots[found]

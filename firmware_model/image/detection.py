@@ -102,7 +102,7 @@ def _detect(
     max_runs: int,
     limits: SpotLimits,
     tally: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], float, float, int, int, int, int, int, int, bool]:
+) -> tuple[NDArray[np.float64], float, float, int, int, int, int, int, bool]:
     background, noise, samples = frame_statistics(image)
     runs = np.empty((max_runs, RUN_FIELDS), np.int32)
     run_background = np.empty(max_runs, np.float64)
@@ -113,7 +113,7 @@ def _detect(
     )
     scanned = runs[count - 1, 0] + 1 if overflowed else image.shape[0]
     label = np.empty(count, np.int32)
-    clusters, unions = join_runs(runs, count, row_start, label)
+    clusters, _ = join_runs(runs, count, row_start, label)
     table = sum_clusters(image, runs, count, run_background, label, clusters)
     spots = np.empty((clusters, centroid.SPOT_FIELDS), np.float64)
     outcome = np.empty(clusters, np.int8)
@@ -131,7 +131,7 @@ def _detect(
         outcome,
         tally,
     )
-    return spots[:found], background, noise, samples, scanned, looked_at, count, unions, clusters, overflowed
+    return spots[:found], background, noise, samples, scanned, looked_at, count, clusters, overflowed
 
 
 def spots_of_table(
@@ -172,7 +172,7 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
     if image.ndim != 2 or image.dtype != np.uint16 or image.shape[1] < 2:
         raise ValueError(f"an image is uint16[rows, columns >= 2], not {image.dtype}{list(image.shape)}")
     tally = np.zeros(centroid.TALLIES, np.int64)
-    table, background, noise, samples, scanned, looked_at, runs, unions, clusters, overflowed = _detect(
+    table, background, noise, samples, scanned, looked_at, runs, clusters, overflowed = _detect(
         np.ascontiguousarray(image),
         float(parameters.sigma_factor),
         float(parameters.tau_min_dn),
@@ -200,7 +200,6 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
         "block_pixels": looked_at,
         "runs": runs,
         "rows_joined": image.shape[0],
-        "run_unions": unions,
         "cluster_pixels": counts[centroid.CLUSTER_PIXELS],
         "clusters": clusters,
         "spots_sorted": sorting_work(found),

@@ -147,18 +147,24 @@ def offset_from_ratio(first: float, second: float, terms: InterpolationTerms) ->
 
 
 @numba.njit(cache=True, nogil=True)
+def has_place(before: float, middle: float, after: float, terms: InterpolationTerms) -> bool:
+    """Whether three columns can be those of a spot of the unit's width: then (6) is worth solving."""
+    larger = max(before, after)
+    smaller = min(before, after)
+    if not (larger > 0.0 and middle > 0.0):
+        return False
+    return middle * middle >= terms.least_square_ratio * larger * max(smaller, 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
 def place_on_axis(before: float, middle: float, after: float, terms: InterpolationTerms) -> float:
     """The star's place from the middle of three columns, px: (6) with the larger neighbour; 1e9: none.
 
     ``middle`` should be the largest; noise may make a neighbour a little larger.
     """
-    larger = max(before, after)
-    smaller = min(before, after)
-    if not (larger > 0.0 and middle > 0.0):
+    if not has_place(before, middle, after, terms):
         return 1e9
-    if middle * middle < terms.least_square_ratio * larger * max(smaller, 0.0):
-        return 1e9
-    x = offset_from_ratio(larger, middle, terms)
+    x = offset_from_ratio(max(before, after), middle, terms)
     if not abs(x - DEVELOPED_AT_PX) <= FURTHEST_PX:
         return 1e9
     return x if before >= after else -x
@@ -176,8 +182,9 @@ def interpolate(
     com_y: float,
     com_sigma_px: float,
     terms: InterpolationTerms,
-) -> tuple[bool, float, float]:
-    """(True, x, y) of a spot by (6) on both axes, or (False, 0, 0): then its centre of mass stays.
+) -> tuple[int, bool, float, float]:
+    """(axes solved, True, x, y) of a spot by (6) on both axes, or (axes solved, False, 0, 0): then its centre
+    of mass stays.
 
     The largest pixel is looked for in 3 x 3 px about the centre of mass; columns are summed over its row and
     ``terms.half_height_px`` on each side, rows alike.
@@ -187,21 +194,21 @@ def interpolate(
     rows, columns = image.shape
     middle_x, middle_y = math.floor(com_x + 0.5), math.floor(com_y + 0.5)
     if middle_x < 1 or middle_y < 1 or middle_x > columns - 2 or middle_y > rows - 2:
-        return False, 0.0, 0.0
+        return 0, False, 0.0, 0.0
     peak_x, peak_y = middle_x, middle_y
     for row in range(middle_y - 1, middle_y + 2):
         for column in range(middle_x - 1, middle_x + 2):
             if image[row, column] > image[peak_y, peak_x]:
                 peak_x, peak_y = column, row
     if peak_x < 1 or peak_y < 1 or peak_x > columns - 2 or peak_y > rows - 2:
-        return False, 0.0, 0.0
+        return 0, False, 0.0, 0.0
     across = (0.0, 0.0, 0.0)
     down = (0.0, 0.0, 0.0)
     for step in range(-1, 2):
         row, column = peak_y + step, peak_x + step
         for at in range(peak_x - 1, peak_x + 2):
             if mask[row - top, at - left] == other:
-                return False, 0.0, 0.0
+                return 0, False, 0.0, 0.0
         if abs(step) <= terms.half_height_px:
             across = (
                 across[0] + float(image[row, peak_x - 1]) - background,
@@ -213,9 +220,12 @@ def interpolate(
                 down[1] + float(image[peak_y, column]) - background,
                 down[2] + float(image[peak_y + 1, column]) - background,
             )
+    solved = int(has_place(across[0], across[1], across[2], terms)) + int(
+        has_place(down[0], down[1], down[2], terms)
+    )
     x = peak_x + place_on_axis(across[0], across[1], across[2], terms)
     y = peak_y + place_on_axis(down[0], down[1], down[2], terms)
     most = min(NEAR_COM_PX + NEAR_COM_SIGMA * com_sigma_px, MOST_FROM_COM_PX)
     if abs(x - com_x) <= most and abs(y - com_y) <= most:
-        return True, x, y
-    return False, 0.0, 0.0
+        return solved, True, x, y
+    return solved, False, 0.0, 0.0

@@ -106,8 +106,8 @@ def _detect_in_windows(
         rows = rects[i, 3] - rects[i, 1]
         window = flat[offsets[i] : offsets[i + 1]].reshape(rows, columns)
         background[i], noise[i], passes = window_statistics(window, scratch)
-        counts[5] += window_samples(window.size, columns)
-        counts[6] += passes * window.size
+        counts[4] += window_samples(window.size, columns)
+        counts[5] += passes * window.size
         # a 3 x 3 sum has 9 times the background and 3 times the noise of a pixel
         over = 3.0 * max(sigma_factor * noise[i], tau_min_dn)
         starts = row_start[: rows + 1]
@@ -116,9 +116,9 @@ def _detect_in_windows(
         if count == 0:
             continue
         if count == max_runs:
-            counts[4] += 1
+            counts[3] += 1
         run_background[:count] = background[i]
-        clusters, unions = join_runs(runs, count, starts, label)
+        clusters, _ = join_runs(runs, count, starts, label)
         table = sum_clusters(window, runs, count, run_background, label, clusters)
         spots = np.empty((clusters, centroid.SPOT_FIELDS), np.float64)
         outcome = np.empty(clusters, np.int8)
@@ -137,10 +137,9 @@ def _detect_in_windows(
             tally,
         )
         counts[0] += count
-        counts[1] += unions
-        counts[7] += rows
-        counts[2] += clusters
-        counts[3] += found
+        counts[1] += clusters
+        counts[2] += found
+        counts[6] += rows
         if found == 0:
             status[i] = _worst_status(outcome, table, rects[i], image_width, image_height)
             continue
@@ -224,7 +223,7 @@ def detect_in_windows(
             expected = -2.5 * np.log10(np.asarray(expected_flux_dn, np.float64) / limits.zero_point_dn)
     status = np.zeros(windows, np.uint8)
     background, noise = np.zeros(windows), np.zeros(windows)
-    counts = np.zeros(8, np.int64)
+    counts = np.zeros(7, np.int64)
     tally = np.zeros(centroid.TALLIES, np.int64)
     table, window_of = _detect_in_windows(
         np.ascontiguousarray(flat, np.uint16),
@@ -244,7 +243,7 @@ def detect_in_windows(
         counts,
         tally,
     )
-    runs, unions, clusters, found, overflowed, samples, noise_pixels, rows_joined = counts.tolist()
+    runs, clusters, found, overflowed, samples, noise_pixels, rows_joined = counts.tolist()
     tallied = tally.tolist()
     rejected = Rejections(
         small=tallied[centroid.SMALL],
@@ -262,7 +261,6 @@ def detect_in_windows(
         "window_noise_pixels": noise_pixels,
         "runs": runs,
         "rows_joined": rows_joined,
-        "run_unions": unions,
         "cluster_pixels": tallied[centroid.CLUSTER_PIXELS],
         "clusters": clusters,
         "spots_sorted": sorting_work(found),

@@ -144,22 +144,22 @@ def test_line_fills_of_a_run_that_hardly_has_any_do_not_rule():
 
 def test_collinear_counts_are_named():
     rng = np.random.default_rng(7)
-    true = TRUE | {"run_unions": {"core_cycles": 50.0, "fills": 0.1}}
+    true = TRUE | {"rows_joined": {"core_cycles": 50.0, "fills": 0.1}}
     samples = []
     for number in range(40):
         counts = {"runs": int(rng.integers(1000, 2000)), "clusters": int(rng.integers(100, 900))}
-        counts["run_unions"] = counts["runs"] + int(rng.integers(0, 3))
+        counts["rows_joined"] = counts["runs"] + int(rng.integers(0, 3))
         samples.append(sample(number, 0, "clustering", counts, true))
     found = fit(samples, resamples=10)
     assert len(found.collinear) == 1
     warning = found.collinear[0]
-    assert warning.counts == ("run_unions", "runs")
+    assert warning.counts == ("rows_joined", "runs")
     assert warning.condition_index > 100
     assert min(warning.inflation) > 1000
-    assert "run_unions" in str(warning)
+    assert "rows_joined" in str(warning)
     assert "clusters" not in str(warning)
     # the sum is known all the same
-    pair = [found.coefficients[name]["core_cycles"].value for name in ("run_unions", "runs")]
+    pair = [found.coefficients[name]["core_cycles"].value for name in ("rows_joined", "runs")]
     assert sum(pair) == pytest.approx(141.0, rel=1e-3)
 
 
