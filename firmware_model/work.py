@@ -57,8 +57,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     # centroid
     ("cluster_tables", "centroid", "table of clusters gone through: of a full frame or a detection window"),
     ("clusters_refused", "centroid", "cluster refused for its size or place before it is measured"),
-    ("mask_rows", "centroid", "row of the square round a cluster that shows whose its pixels are"),
-    ("mask_pixels", "centroid", "pixel of such a square"),
+    ("mask_pixels", "centroid", "pixel of the square round a cluster that shows whose its pixels are"),
     ("mask_runs", "centroid", "run of the rows of such a square, wherever on them, compared with it"),
     ("marked_pixels", "centroid", "pixel of such a square marked as one of a run or next to it"),
     ("centroid_stars", "centroid", "centre of mass computed once (its divisions), each pass counts"),
@@ -91,6 +90,9 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("marks_scattered", "identification", "mark of a star that is not at hand: a cold line", False),
     ("pairs_joined", "identification", "pair looked up in the marks of another side", False),
     ("fourths_compared", "identification", "angle of a fourth spot compared with a near star's", False),
+    ("triads_joined", "identification", "triad of spots whose sides are joined: its flatness", False),
+    ("third_sides", "identification", "third side of a catalogue triangle computed and compared", False),
+    ("cone_stars", "identification", "star of a cell tested against a cone", False),
     # tracking
     ("tracking_plans", "tracking", "plan of windows begun: attitude matrix, cone of the neighbours"),
     ("neighbours_read", "tracking", "entry of the neighbour table read"),

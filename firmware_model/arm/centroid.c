@@ -50,7 +50,8 @@ typedef struct {
     const st_spot_limits *limits;
     uint8_t *mask;
     weight *weights;
-    double spread;     /* flux times the error of a centre of mass by noise; DN px */
+    double noise_dn;
+    double spread;     /* flux times the error of a centre of mass by noise, DN px; 0: not yet computed */
     int32_t most_mask; /* bytes */
     int32_t nominal;   /* half-width of a window, PLACE_BITS */
     int32_t least;     /* and the least that it may be narrowed to */
@@ -345,7 +346,7 @@ static int32_t centre_of_mass(
 }
 
 /* A cluster measured; returns why it is no spot, or -1. */
-static int32_t measure(const terms *by, const st_cluster *cluster, int32_t index, st_spot *spot)
+static int32_t measure(terms *by, const st_cluster *cluster, int32_t index, st_spot *spot)
 {
     const st_spot_limits *limits = by->limits;
     st_surroundings about;
@@ -382,9 +383,14 @@ static int32_t measure(const terms *by, const st_cluster *cluster, int32_t index
     if (spot->peak_dn > limits->max_peak_fraction * spot->flux_dn)
         return ST_SHARP;
     int32_t saturated = cluster->brightest_dn >= limits->saturation_dn;
-    if (limits->interpolation.wanted && !saturated)
+    if (limits->interpolation.wanted && !saturated) {
+        double half = limits->half_window;
+        /* The window's width times the root of the mean of x^2 over it: what noise does to a moment. */
+        if (by->spread == 0.0)
+            by->spread = (2.0 * half + 1.0) * sqrt(half * (half + 1.0) / 3.0) * by->noise_dn;
         st_interpolate(
             by->image, &about, background, by->spread / spot->flux_dn, &limits->interpolation, &x_px, &y_px);
+    }
     spot->x_px = x_px;
     spot->y_px = y_px;
     spot->pixels = cluster->pixels;
@@ -417,6 +423,7 @@ int32_t st_measure_spots(
         .row_start = row_start,
         .label = label,
         .limits = limits,
+        .noise_dn = noise_dn,
         .mask = room,
         .weights = (weight *)(void *)((uint8_t *)room + ((side * side + 3) & ~3)),
         .most_mask = side * side,
@@ -428,9 +435,6 @@ int32_t st_measure_spots(
         .local_background = local_background,
         .off = (uint32_t)(off * (1 << ST_BACKGROUND_BITS)),
     };
-    if (limits->interpolation.wanted)
-        /* The window's width times the root of the mean of x^2 over it: what noise does to a moment. */
-        by.spread = (2.0 * half + 1.0) * sqrt(half * (half + 1) / 3.0) * noise_dn;
     int32_t found = 0;
     for (int32_t i = 0; i < number; i++) {
         int32_t reason = refused(image, &clusters[i], limits);

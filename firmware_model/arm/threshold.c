@@ -15,6 +15,7 @@
 
 #define ONE (1 << ST_BACKGROUND_BITS)
 #define GAIN_BITS 30
+#define INVERSE_BITS 31
 #define TOP_BITS 0x80008000u
 #define MOST_DN 65535.0
 #define BLOCK_BITS 5   /* 2^5 pixels */
@@ -152,6 +153,7 @@ typedef struct {
     int32_t rest_gain; /* and a row's last one of rest pixels */
     int32_t whole;     /* whole blocks in a row */
     int32_t rest;
+    uint32_t inverse;   /* of rest, 2^INVERSE_BITS: 1 */
     int32_t wide;       /* pixels may have more than NARROW_BITS */
     block *first_found; /* the first of a row's blocks with a pixel over the threshold, so far */
     block *last_found;
@@ -262,8 +264,10 @@ static NOINLINE int32_t scan_pixels(
     here->over = 0;
     if (seen & TOP_BITS)
         keep_over(here, terms, pixel, pixels, limit, &sum);
-    int32_t mean = (int32_t)(((uint64_t)sum << ST_BACKGROUND_BITS) / (uint32_t)pixels);
-    return moved(average, mean, pixels == ST_BLOCK_PX ? terms->gain : terms->rest_gain);
+    if (pixels == ST_BLOCK_PX)
+        return moved(average, (int32_t)(sum << (ST_BACKGROUND_BITS - BLOCK_BITS)), terms->gain);
+    uint64_t mean = ((uint64_t)sum * terms->inverse) >> (INVERSE_BITS - ST_BACKGROUND_BITS);
+    return moved(average, (int32_t)mean, terms->rest_gain);
 }
 
 /* The whole blocks of a row, step 1 from the first, or -1 from the last; returns the average after them. */
@@ -392,6 +396,7 @@ int32_t st_threshold_scan(
     terms.rest = columns - terms.whole * ST_BLOCK_PX;
     terms.gain = (int32_t)(((uint64_t)ST_BLOCK_PX << GAIN_BITS) / length);
     terms.rest_gain = (int32_t)(((uint64_t)(uint32_t)terms.rest << GAIN_BITS) / length);
+    terms.inverse = terms.rest ? ((1u << INVERSE_BITS) + (uint32_t)terms.rest / 2) / (uint32_t)terms.rest : 0;
     terms.wide = threshold->bits > NARROW_BITS;
     const uint16_t *line = image->pixels;
     for (int32_t row = 0; row < image->rows; row++, line += columns) {

@@ -25,8 +25,8 @@ SPOT_FIELDS = 8
 # int64[TALLIES]: rejections by reason, then work
 SMALL, LARGE, SHARP, EDGE, FAINT = range(5)
 PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(5, 10)
-TABLES, REFUSED, MASK_ROWS, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED = range(10, 17)
-TALLIES = 17
+TABLES, REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED = range(10, 16)
+TALLIES = 16
 
 
 class SpotLimits(NamedTuple):
@@ -48,7 +48,6 @@ def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
     return {
         "cluster_tables": tally[TABLES],
         "clusters_refused": tally[REFUSED],
-        "mask_rows": tally[MASK_ROWS],
         "mask_pixels": tally[MASK_PIXELS],
         "mask_runs": tally[MASK_RUNS],
         "marked_pixels": tally[MARKED_PIXELS],
@@ -94,7 +93,6 @@ def _paint(
     mask[:, :] = 0
     rows = row_start.shape[0] - 1
     first_row, end_row = max(top - reach, 0), min(top + height + reach, rows)
-    tally[MASK_ROWS] += height
     tally[MASK_PIXELS] += width * height
     tally[MASK_RUNS] += row_start[end_row] - row_start[first_row]
     for row in range(first_row, end_row):
