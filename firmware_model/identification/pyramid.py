@@ -51,6 +51,7 @@ from .verification import (
     ANGLES_COMPUTED,
     CANDIDATES_MARKED,
     CATALOGUE_ANGLES,
+    CONE_STARS,
     CONES_SEARCHED,
     FOURTHS_COMPARED,
     KVECTOR_HITS,
@@ -59,6 +60,8 @@ from .verification import (
     PAIRS_COMPARED,
     PAIRS_JOINED,
     PYRAMIDS_TESTED,
+    THIRD_SIDES,
+    TRIADS_JOINED,
     TRIADS_TESTED,
     TRIANGLES_TESTED,
     CountArray,
@@ -185,6 +188,7 @@ def _fourth_kernel(
     )
     counts[CONES_SEARCHED] += 1
     counts[CATALOGUE_ANGLES] += tested
+    counts[CONE_STARS] += tested
     fourth = spots
     star_fourth = -1
     for place in range(near):
@@ -316,6 +320,7 @@ def _pyramid_kernel(
                     chain[entry + 1] = head[other]
                     head[other] = base + entry + 1
                     entry += 2
+                counts[TRIADS_JOINED] += 1
                 counts[CANDIDATES_MARKED] += 2 * entries
                 counts[PAIRS_COMPARED] += end[apex, right] - first[apex, right]
                 volume = volume_kernel(b, apex, left, right)
@@ -335,6 +340,7 @@ def _pyramid_kernel(
                             if star_left == star_right:
                                 continue
                             counts[TRIANGLES_TESTED] += 1
+                            counts[THIRD_SIDES] += 1
                             cosine = (
                                 unit_vectors[star_left, 0] * unit_vectors[star_right, 0]
                                 + unit_vectors[star_left, 1] * unit_vectors[star_right, 1]

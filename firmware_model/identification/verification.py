@@ -45,13 +45,16 @@ COUNT_NAMES = (
     "marks_scattered",
     "pairs_joined",
     "fourths_compared",
+    "triads_joined",
+    "third_sides",
+    "cone_stars",
 )
 KVECTOR_QUERIES, KVECTOR_HITS, ANGLES_COMPUTED, PAIRS_COMPARED = range(4)
 TRIADS_TESTED, TRIANGLES_TESTED, PYRAMIDS_TESTED, CANDIDATES_MARKED, VOTES = range(4, 9)
 MAGNITUDES_COMPARED, CATALOGUE_ANGLES, SPOTS_CONFIRMED, TRIAL_STARS_PROJECTED = range(9, 13)
 QMETHOD_STARS, QMETHOD_SOLVES, JACOBI_ROTATIONS = range(13, 16)
 IDENTIFICATIONS, SPIKES_TAKEN, CONES_SEARCHED, SPOTS_FOLLOWED, TRIALS_CONFIRMED = range(16, 21)
-MARKS_SCATTERED, PAIRS_JOINED, FOURTHS_COMPARED = range(21, 24)
+MARKS_SCATTERED, PAIRS_JOINED, FOURTHS_COMPARED, TRIADS_JOINED, THIRD_SIDES, CONE_STARS = range(21, 27)
 
 OPERATIONS = 13  # the counts before this one are the stage identification's steps
 
@@ -208,6 +211,7 @@ def match_spots_kernel(
             )
             counts[CONES_SEARCHED] += 1
             counts[CATALOGUE_ANGLES] += tested
+            counts[CONE_STARS] += tested
             star_index[spot] = -1
             smallest = 1e300
             for place in range(min(near, len(found))):
@@ -322,6 +326,7 @@ def expected_kernel(
     )
     counts[CONES_SEARCHED] += 1
     counts[CATALOGUE_ANGLES] += tested
+    counts[CONE_STARS] += tested
     expected = 0
     seen = 0
     for place in range(near):
