@@ -68,3 +68,12 @@ class Call:
     result: int  # r0, as an unsigned word
     result_pair: float  # r0 and r1 as a double
     cost: Cost
+
+
+@dataclass(frozen=True)
+class Run:
+    """How a whole program ended, and its cost."""
+
+    result: int  # r0, as an unsigned word
+    exit_code: int | None  # None: it returned
+    cost: Cost

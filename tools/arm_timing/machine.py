@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import ctypes
+import difflib
 import struct
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
+from capstone import CS_ARCH_ARM, CS_MODE_ARM, Cs
 from unicorn import (
     UC_ARCH_ARM,
     UC_HOOK_BLOCK,
     UC_HOOK_CODE,
+    UC_HOOK_INTR,
     UC_HOOK_MEM_READ,
     UC_HOOK_MEM_WRITE,
     UC_MODE_ARM,
@@ -32,8 +36,9 @@ from unicorn.unicorn_const import UC_PROT_ALL
 from unicorn.unicorn_py3.unicorn import uclib
 
 from . import callbacks
-from .cost import Call, Cost
+from .cost import Call, Cost, Run
 from .errors import ArmError
+from .host_calls import HostCalls, Surroundings
 from .memory import PAGE_BYTES, Memory
 from .program import Program
 from .state import LINE_BYTES, State
@@ -43,11 +48,12 @@ MOST_INSTRUCTIONS = 20_000_000_000
 _STOPS = {
     callbacks.RUNAWAY: "still running after {most} instructions",
     callbacks.THUMB: "Thumb code, which has no timing here; build with -marm",
-    callbacks.NO_TIMING: "an instruction that ARM926EJ-S has not, or none at all "
+    callbacks.NO_TIMING: "{word}, an instruction that ARM926EJ-S has not, or none at all "
     "(VFP and ARMv6 have no timing here; build with -mcpu=arm926ej-s -mfloat-abi=soft)",
     callbacks.NOT_CODE: "executes what is not in the program's executable segments",
     callbacks.UNALIGNED: "an access to 0x{address:08x}, which is not aligned to its size",
 }
+_SUPERVISOR_CALL = 2  # EXCP_SWI of the simulator
 _REGISTER_ARGUMENTS = 4  # AAPCS (IHI 0042) 6.5: r0 to r3
 
 
@@ -154,21 +160,92 @@ class ArmMachine:
         ArmError with pc and symbol if there is no such function, it touches memory that is not there, meets
         an instruction that ARM926EJ-S has not, or runs beyond ``max_instructions``.
         """
-        if symbol not in self.symbols:
-            raise ArmError(f"{self.program.path}: no symbol {symbol!r}")
-        registers, stacked = _arguments(arguments)
-        top = self._memory.stack_top - len(stacked)
-        if stacked:
-            self.write(top, np.frombuffer(stacked, np.uint8))
-        for number, value in enumerate(registers):
-            self.engine.reg_write(UC_ARM_REG_R0 + number, value)
-        self.engine.reg_write(UC_ARM_REG_SP, top)
-        self.engine.reg_write(UC_ARM_REG_LR, EXIT_ADDRESS)
-        cost = self._run(self.symbols[symbol])
+        start = self._address_of(symbol)
+        self._set_arguments(arguments)
+        cost = self._run(start)
         low, high = self.engine.reg_read(UC_ARM_REG_R0), self.engine.reg_read(UC_ARM_REG_R1)
         return Call(low, struct.unpack("<d", struct.pack("<II", low, high))[0], cost)
 
-    def _run(self, start: int) -> Cost:
+    def run(
+        self,
+        entry: str | None = None,
+        *arguments: int | float,
+        clock_hz: int = 400_000_000,
+        cycles: Callable[[Cost], int] = lambda cost: cost.core_cycles,
+        output: BinaryIO | None = None,
+        errors: BinaryIO | None = None,
+    ) -> Run:
+        """Run a program from a symbol, or from where its file says, until it returns or ends itself.
+
+        It may ask its host for what `HostCalls` serves; its clock shows ``cycles`` of the cost until then.
+        Errors as of `call`; Linux's and semihosting's calls alone are served.
+        """
+        start = self.program.entry if entry is None else self._address_of(entry)
+        before = self._state.snapshot()
+        calls = HostCalls(
+            self,
+            Surroundings(
+                command_line=self.program.path.name,
+                heap=self._memory.free,
+                stack=(self._memory.stack_top, self._memory.stack_lowest),
+                clock_hz=clock_hz,
+                elapsed_cycles=lambda: cycles(self._state.cost_since(before)),
+                output=output or sys.stdout.buffer,
+                errors=errors or sys.stderr.buffer,
+            ),
+        )
+        self._set_arguments(arguments)
+        hook = self.engine.hook_add(UC_HOOK_INTR, lambda _engine, kind, _data: self._serve(calls, kind))
+        try:
+            cost = self._run(start, calls)
+        finally:
+            self.engine.hook_del(hook)
+        return Run(self.engine.reg_read(UC_ARM_REG_R0), calls.exit_code, cost)
+
+    def _serve(self, calls: HostCalls, kind: int) -> None:
+        """An exception of the processor: calls of the host are served, all else is an error."""
+        word = int(self.read(int(self._state.array[callbacks.PC]), "<u4", 1)[0])
+        number = word & 0xFF_FFFF
+        result = None
+        if kind == _SUPERVISOR_CALL:
+            registers = tuple(self.engine.reg_read(UC_ARM_REG_R0 + register) for register in range(8))
+            result = calls.serve(number, registers)
+        if result is None:
+            what = "an exception of the processor"
+            if kind == _SUPERVISOR_CALL:
+                what = f"SVC 0x{number:x}, which is not served"
+            raise ArmError(f"at {self._place()}: {what}")
+        if calls.exit_code is not None:
+            self.engine.emu_stop()
+        else:
+            self.engine.reg_write(UC_ARM_REG_R0, result)
+
+    def bytes_at(self, address: int, nbytes: int) -> bytes:
+        """Bytes of memory."""
+        return self._memory.view(address, nbytes).tobytes()
+
+    def put_bytes(self, address: int, contents: bytes) -> None:
+        """Change bytes of memory."""
+        self._memory.view(address, len(contents))[:] = np.frombuffer(contents, np.uint8)
+
+    def _address_of(self, symbol: str) -> int:
+        if symbol not in self.symbols:
+            near = difflib.get_close_matches(symbol, self.symbols, 3)
+            hint = f"; did you mean {' or '.join(near)}?" if near else ""
+            raise ArmError(f"{self.program.path}: no symbol {symbol!r}{hint}")
+        return self.symbols[symbol]
+
+    def _set_arguments(self, arguments: Sequence[int | float]) -> None:
+        """Registers and stack as a function finds them."""
+        registers, stacked = _arguments(arguments)
+        top = self._memory.stack_top - len(stacked)
+        self.put_bytes(top, stacked)
+        for number in range(_REGISTER_ARGUMENTS):
+            self.engine.reg_write(UC_ARM_REG_R0 + number, registers[number] if number < len(registers) else 0)
+        self.engine.reg_write(UC_ARM_REG_SP, top)
+        self.engine.reg_write(UC_ARM_REG_LR, EXIT_ADDRESS)
+
+    def _run(self, start: int, calls: HostCalls | None = None) -> Cost:
         if start & 1:
             raise ArmError(
                 f"{self.program.place_of(start)}: Thumb code, which has no timing here; build with -marm"
@@ -180,7 +257,8 @@ class ArmMachine:
             self._raise_if_stopped()
             raise ArmError(f"at {self._place()}: {error}") from error
         self._raise_if_stopped()
-        if self.engine.reg_read(UC_ARM_REG_PC) != EXIT_ADDRESS:
+        ended = calls is not None and calls.exit_code is not None
+        if not ended and self.engine.reg_read(UC_ARM_REG_PC) != EXIT_ADDRESS:
             raise ArmError(f"at {self._place()}: stopped before the function returned")
         self._state.end(EXIT_ADDRESS)
         cost = self._state.cost_since(before)
@@ -193,8 +271,18 @@ class ArmMachine:
         reason = int(self._state.array[callbacks.STOPPED])
         address = int(self._state.array[callbacks.STOPPED_AT])
         if reason:
-            text = _STOPS[reason].format(most=self.max_instructions, address=address)
+            text = _STOPS[reason].format(
+                most=self.max_instructions,
+                address=address,
+                word=self._disassembled(address) if reason == callbacks.NO_TIMING else "",
+            )
             raise ArmError(f"at {self._place()}: {text}")
+
+    def _disassembled(self, address: int) -> str:
+        contents = self.bytes_at(address, 4)
+        found = next(Cs(CS_ARCH_ARM, CS_MODE_ARM).disasm(contents, address), None)
+        text = f" ({found.mnemonic} {found.op_str})" if found else ""
+        return f"0x{int.from_bytes(contents, 'little'):08x}{text}"
 
     def _place(self) -> str:
         return self.program.place_of(int(self._state.array[callbacks.PC]))
@@ -221,4 +309,4 @@ def _arguments(arguments: Sequence[int | float]) -> tuple[list[int], bytes]:
     return registers, stacked + bytes(-len(stacked) % 8)
 
 
-__all__ = ["LINE_BYTES", "ArmError", "ArmMachine", "Call", "Cost"]
+__all__ = ["LINE_BYTES", "ArmError", "ArmMachine", "Call", "Cost", "Run"]

@@ -14,6 +14,7 @@ from .program import Segment
 LINE_BYTES = 32
 PAGE_BYTES = 4096
 STACK_BYTES = 1 << 20
+BEHIND_BYTES = 16 << 20  # after a part that is elsewhere: its own heap and stack
 HEAP = 0x0100_0000  # at least: programs are linked lower
 
 
@@ -46,23 +47,28 @@ class Memory:
             self.view(part.address, len(part.contents))[:] = np.frombuffer(part.contents, np.uint8)
         self._heap_bottom = self._heap = aligned(top, LINE_BYTES)
         self._kept_bottom = nbytes - STACK_BYTES
-        self.stack_top = nbytes - 64
+        self.stack_top, self.stack_lowest = nbytes - 64, nbytes - STACK_BYTES
         self._kept: dict[tuple[int, tuple[int, ...], str], tuple[int, npt.NDArray[Any]]] = {}
         if self._heap_bottom >= self._kept_bottom:
             raise ArmError(f"{nbytes >> 20} MiB of memory are too few: the program ends at 0x{top:08x}")
 
+    @property
+    def free(self) -> tuple[int, int]:
+        """(first address, address after the last) of what is neither placed nor kept."""
+        return self._heap, self._kept_bottom
+
     def _add_region(self, part: Segment) -> None:
         start = part.address // PAGE_BYTES * PAGE_BYTES
-        end = aligned(part.address + part.nbytes, PAGE_BYTES)
-        for index, (other, contents) in enumerate(self.regions):
-            if start < other + len(contents) and other < end:
-                if index == 0:
-                    raise ArmError(
-                        f"the segment at 0x{part.address:08x} does not fit into memory: more is needed"
-                    )
-                merged = np.zeros(max(end, other + len(contents)) - min(start, other), np.uint8)
-                self.regions[index] = (min(start, other), merged)
-                return
+        end = aligned(part.address + part.nbytes, PAGE_BYTES) + BEHIND_BYTES
+        if start < self.regions[0][0] + len(self.regions[0][1]):
+            raise ArmError(f"the program's part at 0x{part.address:08x} does not fit into memory")
+        for index, (other, contents) in enumerate(self.regions[1:], start=1):
+            if start <= other + len(contents) and other <= end:
+                start, end = min(start, other), max(end, other + len(contents))
+                del self.regions[index]
+                break
+        if end > 1 << 32:
+            raise ArmError(f"the program's part at 0x{part.address:08x} is too near the end of memory")
         self.regions.append((start, np.zeros(end - start, np.uint8)))
 
     def view(self, address: int, nbytes: int) -> npt.NDArray[np.uint8]:

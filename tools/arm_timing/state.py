@@ -98,7 +98,11 @@ class State:
         state = self.array
         state[at.MOST_INSTRUCTIONS] = state[at.INSTRUCTIONS] + most_instructions
         state[[at.STOPPED, at.LATE, at.LATE_TWO, at.OPEN]] = 0
-        return Snapshot(state[: at.STATE_LENGTH].copy())
+        return self.snapshot()
+
+    def snapshot(self) -> Snapshot:
+        """The counters now."""
+        return Snapshot(self.array[: at.STATE_LENGTH].copy())
 
     def end(self, next_pc: int) -> None:
         """After a run: close what its last instruction left open."""
