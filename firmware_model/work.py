@@ -50,6 +50,8 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("window_pixels", "threshold", "pixel of a detection window smoothed and compared with the threshold"),
     ("windows", "threshold", "detection window set up"),
     # clustering
+    ("run_tables", "clustering", "table of runs gone through: of a full frame or a detection window"),
+    ("frame_runs", "clustering", "run of a full frame: its pixels are in no cache by now"),
     ("runs", "clustering", "run of pixels over threshold put into the run table"),
     ("rows_joined", "clustering", "row whose runs are compared with those of the row above"),
     ("cluster_pixels", "clustering", "pixel over threshold summed into its cluster"),
@@ -57,8 +59,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     # centroid
     ("cluster_tables", "centroid", "table of clusters gone through: of a full frame or a detection window"),
     ("clusters_refused", "centroid", "cluster refused for its size or place before it is measured"),
-    ("mask_rows", "centroid", "row of the square round a cluster that shows whose its pixels are"),
-    ("mask_pixels", "centroid", "pixel of such a square"),
+    ("mask_pixels", "centroid", "pixel of the square round a cluster that shows whose its pixels are"),
     ("mask_runs", "centroid", "run of the rows of such a square, wherever on them, compared with it"),
     ("marked_pixels", "centroid", "pixel of such a square marked as one of a run or next to it"),
     ("centroid_stars", "centroid", "centre of mass computed once (its divisions), each pass counts"),

@@ -198,6 +198,8 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
         "noise_passes": samples,
         "threshold_pixels": scanned * image.shape[1],
         "block_pixels": looked_at,
+        "run_tables": 1,
+        "frame_runs": runs,
         "runs": runs,
         "rows_joined": image.shape[0],
         "cluster_pixels": counts[centroid.CLUSTER_PIXELS],

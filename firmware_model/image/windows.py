@@ -259,6 +259,7 @@ def detect_in_windows(
         "window_pixels": len(flat),
         "window_samples": samples,
         "window_noise_pixels": noise_pixels,
+        "run_tables": tallied[centroid.TABLES],
         "runs": runs,
         "rows_joined": rows_joined,
         "cluster_pixels": tallied[centroid.CLUSTER_PIXELS],
