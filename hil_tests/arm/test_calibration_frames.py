@@ -118,6 +118,7 @@ class FakeStep:
             raise ArmError("at 0x10000 (st_plan): still running")
         sizes = dict.fromkeys((32, 16, 8, 4), 7)
         number = record.arguments["number"]
+        FakeMachine.used.append(f"run {number}")
         cost = Cost(number, 2 * number, sizes, sizes, 3, number, sizes, {"alu": number}, 0)
         return [StageRun(self.name, "tracking", cost, record.work)]
 
@@ -192,7 +193,8 @@ def test_samples_of_a_case(with_fakes, sky):
     assert (last.value("core_cycles"), last.value("instructions")) == (16, 8)
     assert (last.value("accesses"), last.value("line_fills_8")) == (11, 14)
     assert last.classes == (("alu", 8),)
-    assert FakeMachine.used == ["flush"]  # for what was no frame of its own
+    # the last frame first, so that nothing is cold; and what is no frame as after a full frame's pixels
+    assert FakeMachine.used == ["run 7", "run 5", "run 6", "run 7", "flush", "run 8"]
 
 
 @pytest.mark.parametrize(

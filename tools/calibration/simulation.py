@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import st_emulator
-from st_emulator.firmware_model.frame_trace import StepRecord
 from tools.arm_timing.errors import ArmError
 from tools.arm_timing.machine import ArmMachine
-from tools.calibration.frames import IDENTIFY, SkySequence, records_of
+from tools.calibration.frames import IDENTIFY, FrameRecords, SkySequence, records_of
 from tools.calibration.registry import own_records, steps_by_name
 from tools.calibration.samples import Sample, sample_of
 from tools.calibration.steps.step import MismatchError
@@ -54,39 +53,38 @@ class Simulated:
     failure: str = ""
 
 
-def _steps_of_case(case: Case) -> Iterator[tuple[int, str, bool, StepRecord]]:
-    """(frame, kind, left out, record) of every step of a case."""
+def _frames_of_case(case: Case) -> list[FrameRecords]:
+    """What a case runs, in order."""
     if case.sky is not None:
-        for frame in records_of(case.sky):
-            for record in frame.steps:
-                yield frame.frame, frame.kind, frame.left_out, record
-    if case.own is not None:
-        make = own_records()[case.own.family]
-        for number, record in enumerate(make(case.own.seed * 1000 + case.own.number, case.own.records)):
-            yield number, record.step, False, record
+        return list(records_of(case.sky))
+    assert case.own is not None
+    made = own_records()[case.own.family](case.own.seed * 1000 + case.own.number, case.own.records)
+    return [FrameRecords(number, record.step, (record,)) for number, record in enumerate(made)]
 
 
 def simulate(elf: str, case: Case) -> Simulated:
-    """Run a case on a processor of its own, caches empty at the start: it depends on no other case.
+    """Run a case on a processor of its own: it depends on no other case.
 
-    The steps run in their order, so that each finds the caches as the one before left them.
+    The steps run in their order, so that each finds the caches as the one before left them; before the first
+    frame its last one is run, so that a frame lost in space finds what tracking left, not empty caches.
     """
     steps = steps_by_name()
     machine = ArmMachine(Path(elf))
     samples: list[Sample] = []
-    left_out: set[int] = set()
-    for frame, kind, without, record in _steps_of_case(case):
-        if without:
-            left_out.add(frame)
-        if kind == IDENTIFY:
-            machine.flush_caches()  # as after a full frame's pixels
-        try:
-            runs = steps[record.step].run(machine, record)
-        except (MismatchError, ArmError) as error:
-            where = f"{case.sky or case.own}, frame {frame}, step {record.step}"
-            return Simulated((), (), f"{where}: {type(error).__name__}: {error}")
-        samples += [sample_of(run, case.number, frame, kind) for run in runs]
-    return Simulated(tuple(samples), tuple(sorted(left_out)))
+    frames = _frames_of_case(case)
+    before = [frame for frame in frames if frame.kind != IDENTIFY][-1:]
+    for place, frame in enumerate([*before, *frames]):
+        for record in frame.steps:
+            if frame.kind == IDENTIFY:
+                machine.flush_caches()  # as after a full frame's pixels
+            try:
+                runs = steps[record.step].run(machine, record)
+            except (MismatchError, ArmError) as error:
+                where = f"{case.sky or case.own}, frame {frame.frame}, step {record.step}"
+                return Simulated((), (), f"{where}: {type(error).__name__}: {error}")
+            if place >= len(before):
+                samples += [sample_of(run, case.number, frame.frame, frame.kind) for run in runs]
+    return Simulated(tuple(samples), tuple(frame.frame for frame in frames if frame.left_out))
 
 
 @lru_cache
