@@ -171,6 +171,7 @@ def scenario_frames(
     number: int,
     *,
     tracked: int = 2,
+    frames_lost: int = 0,
     parameters: Mapping[str, float | int] | None = None,
 ) -> Iterator[FrameInputs]:
     """The same of a scenario's sky and trajectory, from the frame that begins at ``start_ns`` on.
@@ -184,7 +185,7 @@ def scenario_frames(
         renderer,
         start_ns,
         number * (tracked + 1),
-        0,
+        frames_lost,
         tracked,
         _configuration(profile, parameters),
         None,
@@ -262,7 +263,7 @@ def _configuration(
     return _cached_configuration(profile.model_dump_json(), tuple(sorted((parameters or {}).items())))
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def _bare_renderer(profile_json: str, hot_pixel_fraction: float | None) -> SceneRenderer:
     """At rest; what the conditions say is put in for each frame."""
     profile = UnitProfile.model_validate_json(profile_json)
