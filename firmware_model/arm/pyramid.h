@@ -4,7 +4,7 @@
 
 #include "identification.h"
 
-#define ST_MOST_PATTERN_SPIKES 128 /* patterns are built from no more spikes */
+#define ST_MOST_PATTERN_SPIKES 64  /* patterns are built from no more spikes */
 
 /* Mark table and room to work in, kept from image to image; nothing in it is cleared in between.
  * 20 bytes. */

@@ -50,7 +50,7 @@ __all__ = [
 ]
 
 MOST_SPIKES = 1024  # identification.h
-MOST_PATTERN_SPIKES = 128  # pyramid.h
+MOST_PATTERN_SPIKES = 64  # pyramid.h
 QUATERNION_BOUND = 1e-9  # largest difference of an element; the trial attitudes are the same to rounding
 _CHANCE_BOUND = 1e-6  # relative, of false_solutions: an exponential of logarithms of the gamma function
 _NO_LIMIT = 1 << 62
