@@ -11,15 +11,21 @@ import numpy.typing as npt
 
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.image.detection import DetectionParameters
-from st_emulator.firmware_model.image.spots import Rejections, Spots, WindowSpots, WindowStatus
+from st_emulator.firmware_model.image.spots import Rejections, Spots, WindowSpots
 from st_emulator.firmware_model.work import COUNTS, Work
 from tools.arm_timing.machine import ArmMachine, Cost
+from tools.calibration.steps.detection import (
+    BOUNDS,
+    FLUX_BOUND,
+    SPOT,
+    STAGES,
+    place_spot_limits,
+    spots_of_structs,
+)
 from tools.calibration.steps.step import MismatchError, StageRun
 
 __all__ = [
-    "BOUNDS",
-    "SPOT",
-    "STAGES",
+    "NOISE_BOUND",
     "STEPS",
     "WindowsRun",
     "WindowsStep",
@@ -29,20 +35,10 @@ __all__ = [
     "place_window_parameters",
     "place_window_room",
     "run_windows",
-    "spots_of",
 ]
 
-STAGES = ("threshold", "clustering", "centroid")
-
-# Largest differences. Centroids and fluxes are sums of fixed point against sums of doubles.
-BOUNDS = {"x_px": 1e-3, "y_px": 1e-3, "magnitude": 1e-3, "peak_dn": 1e-3, "background_dn": 0.0}
-FLUX_BOUND = 1e-3  # of the flux
 NOISE_BOUND = 1e-9  # of the noise
 
-SPOT = np.dtype(
-    [(name, "<f8") for name in ("x_px", "y_px", "flux_dn", "magnitude", "peak_dn")]
-    + [("pixels", "<i4"), ("flags", "<i4")]
-)  # st_spot
 _STATISTICS = np.dtype([("background_dn", "<f8"), ("noise_dn", "<f8")])  # st_statistics
 _IMAGE = struct.Struct("<I2i")  # st_image
 _ROOM = struct.Struct("<10I8i")  # st_window_room
@@ -63,32 +59,12 @@ def _place_packed(machine: ArmMachine, form: str, *values: float) -> int:
     return machine.place(np.frombuffer(struct.pack("<" + form, *values), np.uint8))
 
 
-def _place_spot_limits(machine: ArmMachine, parameters: DetectionParameters) -> tuple[int, int]:
-    """An st_spot_limits, and the room in bytes that st_measure_spots then needs."""
-    limits = parameters.spot_limits(in_windows=True)
-    terms = limits.interpolation
-    place = _place_packed(
-        machine,
-        "4i3d4i7d",
-        limits.half_window,
-        limits.min_pixels,
-        limits.max_pixels,
-        limits.max_extent,
-        limits.max_peak_fraction,
-        limits.zero_point_dn,
-        limits.magnitude_limit,
-        limits.saturation_dn,
-        0,
-        *terms,
-    )
-    return place, machine.call("st_centroid_room_bytes", place).result
-
-
 def place_window_parameters(
     machine: ArmMachine, parameters: DetectionParameters, width_px: int, height_px: int
 ) -> tuple[int, int]:
     """An st_window_parameters, and the room in bytes that st_measure_spots then needs."""
-    limits, room_bytes = _place_spot_limits(machine, parameters)
+    limits = place_spot_limits(machine, parameters.spot_limits(in_windows=True))
+    room_bytes = machine.call("st_centroid_room_bytes", limits).result
     place = _place_packed(
         machine,
         "2d4iI4x",
@@ -141,25 +117,6 @@ def packed_spots(spots: Spots) -> npt.NDArray[np.void]:
         packed[name] = getattr(spots, name)
     packed["flags"] = _SATURATED * spots.saturated + _AT_EDGE * spots.at_edge
     return packed
-
-
-def spots_of(
-    packed: npt.NDArray[np.void],
-    rejected: Rejections,
-    background_dn: float,
-    noise_dn: float,
-    overflowed: bool,
-) -> Spots:
-    """Spots of st_spot[n]."""
-    return Spots(
-        *(packed[name].copy() for name in ("x_px", "y_px", "flux_dn", "magnitude", "peak_dn", "pixels")),
-        (packed["flags"] & _SATURATED) != 0,
-        (packed["flags"] & _AT_EDGE) != 0,
-        background_dn,
-        noise_dn,
-        rejected,
-        overflowed,
-    )
 
 
 def run_windows(
@@ -226,7 +183,7 @@ def run_windows(
     small, large, sharp, edge, faint = _room(machine, room)[3:]
     return WindowsRun(
         WindowSpots(
-            spots_of(
+            spots_of_structs(
                 machine.read(spots, SPOT, len(window_of)),
                 Rejections(small, large, sharp, edge, faint),
                 float(level_dn),
@@ -269,21 +226,17 @@ def compare(found: WindowSpots, expected: WindowSpots) -> None:
                 f"windows: {name} {np.ravel(ours)[place]!r}, {np.ravel(theirs)[place]!r} in Python"
             )
 
-    same(
-        "status",
-        [WindowStatus(s).name for s in found.status],
-        [WindowStatus(s).name for s in expected.status],
-    )
+    same("status", found.status, expected.status)
     same("window", found.window, expected.window)
-    near("background_dn", found.background_dn, expected.background_dn, BOUNDS["background_dn"], 0.0)
+    near("background_dn", found.background_dn, expected.background_dn, 0.0, 0.0)
     near("noise_dn", found.noise_dn, expected.noise_dn, 0.0, NOISE_BOUND)
     ours, theirs = found.spots, expected.spots
     for name in ("pixels", "saturated", "at_edge", "overflowed"):
         same(name, getattr(ours, name), getattr(theirs, name))
     for reason in ("small", "large", "sharp", "edge", "faint"):
         same(f"rejected.{reason}", getattr(ours.rejected, reason), getattr(theirs.rejected, reason))
-    for name in ("x_px", "y_px", "magnitude", "peak_dn", "background_dn"):
-        near(name, getattr(ours, name), getattr(theirs, name), BOUNDS[name], 0.0)
+    for name, bound in (BOUNDS | {"background_dn": 0.0}).items():
+        near(name, getattr(ours, name), getattr(theirs, name), bound, 0.0)
     near("flux_dn", ours.flux_dn, theirs.flux_dn, 0.0, FLUX_BOUND)
     near("noise_dn", ours.noise_dn, theirs.noise_dn, 0.0, NOISE_BOUND)
 
