@@ -33,7 +33,12 @@ FUNCTIONS = {
     """,
     "exit_three": "e3a00003  mov r0, #3\n e3a07001  mov r7, #1\n ef000000  svc #0",
     # r0: the address of as many bytes as r1; each of a line.
-    "lines": "e4902020  ldr r2, [r0], #32\n e2511020  subs r1, r1, #32\n 1afffffc  bne #0xfffffff8\n e12fff1e  bx lr",
+    "lines": """
+        e4902020  ldr r2, [r0], #0x20
+        e2511020  subs r1, r1, #0x20
+        1afffffc  bne #0xfffffff8
+        e12fff1e  bx lr
+    """,
     "forever": "eafffffe  b #0",
     "vfp": "ee300a00  vadd.f32 s0, s0, s0\n e12fff1e  bx lr",
     "null": "e3a00000  mov r0, #0\n e5900000  ldr r0, [r0]\n e12fff1e  bx lr",
@@ -180,18 +185,8 @@ def test_help_tells_how_to_build_and_run():
 
 def test_as_a_command_of_its_own(elf, tmp_path):
     """As the script starts it, from another folder."""
-    command = [
-        sys.executable,
-        "-m",
-        "tools.arm_timing",
-        elf.name,
-        "--entry",
-        "hello",
-        "--json",
-        "figures.json",
-    ]
     done = subprocess.run(
-        [*command[:3], str(elf), *command[4:]],
+        [sys.executable, "-m", "tools.arm_timing", elf, "--entry", "hello", "--json", "figures.json"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,

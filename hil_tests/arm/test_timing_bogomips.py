@@ -13,11 +13,14 @@ DELAY = """
     8afffffd  bhi #0xfffffffc
     e12fff1e  bx lr
 """
-# Boot logs of AT91SAM9G20 and Anyka AK39 ("CPU 400MHz"):
-# "Calibrating delay loop... 199.06 BogoMIPS (lpj=995328)".
-PRINTED_BOGOMIPS = 199.06
-PRINTED_LOOPS_PER_JIFFY = 995328
-HZ = 100  # 995328 / (500000 / HZ) is 199.06: so these kernels ticked at 100 Hz
+# Boot logs, "Calibrating delay loop... 199.06 BogoMIPS (lpj=995328)" and so on: AT91SAM9G20 (396 to 400 MHz)
+# and Anyka AK39 ("CPU 400MHz"); NXP i.MX28 (454 MHz: 480 MHz x 18 / 19); HiSilicon Hi3518E V200 (540 MHz).
+PRINTED = {
+    400_000_000: ("199.06", 995328),
+    454_736_842: ("226.09", 1130496),
+    540_000_000: ("269.10", 1345536),
+}
+HZ = 100  # lpj / (500000 / HZ) is what was printed: so these kernels ticked at 100 Hz
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +64,9 @@ def printed(loops_per_jiffy: int) -> str:
     return f"{loops_per_jiffy // (500000 // HZ)}.{loops_per_jiffy // (5000 // HZ) % 100:02d}"
 
 
-def test_the_logs_line_is_read_right():
-    assert printed(PRINTED_LOOPS_PER_JIFFY) == f"{PRINTED_BOGOMIPS:.2f}"
+def test_the_logs_lines_are_read_right():
+    for text, loops_per_jiffy in PRINTED.values():
+        assert printed(loops_per_jiffy) == text
 
 
 def test_a_loop_takes_four_cycles(delay):
@@ -70,16 +74,19 @@ def test_a_loop_takes_four_cycles(delay):
     assert [cycles_of(delay, loops) for loops in (1, 2, 1000)] == [5, 9, 4001]
 
 
-def test_at_399_mhz_the_kernel_prints_the_same(delay):
-    loops = converge(delay, 399_000_000)
-    assert loops == PRINTED_LOOPS_PER_JIFFY
-    assert printed(loops) == "199.06"
+@pytest.mark.parametrize("clock_hz", [399_000_000, 400_000_000, 540_000_000])
+def test_the_kernel_prints_the_same_to_the_last_digit(delay, clock_hz):
+    text, loops_per_jiffy = PRINTED[400_000_000 if clock_hz == 399_000_000 else clock_hz]
+    loops = converge(delay, clock_hz)
+    assert loops == loops_per_jiffy
+    assert printed(loops) == text
 
 
-@pytest.mark.parametrize("clock_hz", [399_000_000, 400_000_000])
+@pytest.mark.parametrize("clock_hz", [399_000_000, *PRINTED])
 def test_within_one_percent(delay, clock_hz):
-    assert float(printed(converge(delay, clock_hz))) == pytest.approx(PRINTED_BOGOMIPS, rel=0.01)
-    # Without the eight bits of the kernel's search: HZ jiffies of cycles over cycles of a loop.
+    """With and without the eight bits of the kernel's search."""
+    text, _ = PRINTED[400_000_000 if clock_hz == 399_000_000 else clock_hz]
+    assert float(printed(converge(delay, clock_hz))) == pytest.approx(float(text), rel=0.01)
     loops = 1_000_000
     exact = 2 * clock_hz * loops / cycles_of(delay, loops) / 1e6
-    assert exact == pytest.approx(PRINTED_BOGOMIPS, rel=0.01)
+    assert exact == pytest.approx(float(text), rel=0.01)

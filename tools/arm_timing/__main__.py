@@ -39,7 +39,7 @@ rdimon.specs does; of Linux write, brk, gettimeofday and clock_gettime. There ar
 \b
 Build, for instance with Debian's gcc-arm-linux-gnueabi and libc6-dev-armel-cross:
   arm-linux-gnueabi-gcc -mcpu=arm926ej-s -marm -mfloat-abi=soft -O2 -ffreestanding -nostdlib -static \\
-      -Wl,-Ttext=0x10000 -Wl,-e,main program.c -lgcc -o program.elf
+      -Wl,--build-id=none -Wl,-Ttext=0x10000 -Wl,-e,main program.c -lgcc -o program.elf
 Run:
   tools/arm_cycles program.elf
   tools/arm_cycles program.elf --entry checksum --argument 0x20000 --argument 1000
