@@ -95,6 +95,8 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("triads_joined", "identification", "triad of spots whose sides are joined: its flatness", False),
     ("third_sides", "identification", "third side of a catalogue triangle computed and compared", False),
     ("cone_stars", "identification", "star of a cell tested against a cone", False),
+    ("marks_stamped", "identification", "mark that also says of which pivot or pole it is", False),
+    ("votes_cast", "identification", "vote added to a spot's votes for a star", False),
     # tracking
     ("tracking_plans", "tracking", "plan of windows begun: attitude matrix, cone of the neighbours"),
     ("neighbours_read", "tracking", "entry of the neighbour table read"),

@@ -2,9 +2,9 @@
  * Pollak, Shimshoni & Lindenbaum 2008 as Zhang et al. 2014, 2.2, retell it.
  *
  * Directions and cosines are software double precision in the Python stage's order of operations, so that
- * the same angles fit. Votes are halfwords, and which identities fit each other is a bit each, so that both
- * tables stay small. A star cannot get 65536 votes: one of each pair of stars that it is in (some thousands at
- * most) and each other spike, whose narrow ranges have few of these pairs. */
+ * the same angles fit. Votes are halfwords, read two by two, and which identities fit each other is a bit
+ * each, so that both tables stay small. A star cannot get 65536 votes: one of each pair of stars that it is in
+ * (some thousands at most) and each other spike, whose narrow ranges have few of these pairs. */
 #include "geometric_voting.h"
 
 #include <math.h>
@@ -49,6 +49,7 @@ typedef struct {
     int32_t rivals;   /* among solutions of fewer than min_stars */
     int32_t voters;   /* spikes whose votes may be counted */
     int32_t identities;
+    int32_t row_stars; /* of a row of the room's `votes`: even */
     int32_t row_words; /* of a row of the room's `fits` */
 } search;
 
@@ -58,12 +59,12 @@ static void cast_votes(const search *s, int32_t voted, int32_t spikes)
     const double *b = s->spikes->b;
     const int32_t *brighter = s->pairs->brighter;
     const int32_t *dimmer = s->pairs->dimmer;
-    int32_t stars = s->stars->stars;
-    memset(s->room->votes + voted * stars, 0, (size_t)((spikes - voted) * stars) * sizeof(uint16_t));
+    int32_t row = s->row_stars;
+    memset(s->room->votes + voted * row, 0, (size_t)((spikes - voted) * row) * sizeof(uint16_t));
     for (int32_t j = voted; j < spikes; j++) {
-        uint16_t *of_j = s->room->votes + j * stars;
+        uint16_t *of_j = s->room->votes + j * row;
         for (int32_t i = 0; i < j; i++) {
-            uint16_t *of_i = s->room->votes + i * stars;
+            uint16_t *of_i = s->room->votes + i * row;
             double *lowest = &lowest_of[i * s->voters + j];
             double *highest = &highest_of[i * s->voters + j];
             int32_t place;
@@ -84,23 +85,36 @@ static void cast_votes(const search *s, int32_t voted, int32_t spikes)
     }
 }
 
+/* Votes of two stars that follow each other, the first in the lower half. */
+static inline uint32_t two_votes(const uint16_t *votes)
+{
+    uint32_t word;
+    memcpy(&word, __builtin_assume_aligned(votes, 4), sizeof word);
+    return word;
+}
+
 /* Stars with the most votes of a spike, 0 where the vote says nothing: no star has two votes, or more than
  * ST_MOST_IDENTITIES tie. */
 static int32_t first_identities(const uint16_t *votes, int32_t stars, int32_t *identity)
 {
-    int32_t most = 2;
+    uint32_t most = 2;
     int32_t found = 0;
-    for (int32_t star = 0; star < stars; star++) {
-        int32_t number = votes[star];
-        if (number < most)
+    for (int32_t star = 0; star < stars; star += 2) {
+        uint32_t word = two_votes(votes + star);
+        if ((word & 0xffff) < most && word >> 16 < most)
             continue;
-        if (number > most) {
-            most = number;
-            found = 0;
+        for (int32_t half = 0; half < 2; half++) {
+            uint32_t number = votes[star + half];
+            if (number < most)
+                continue;
+            if (number > most) {
+                most = number;
+                found = 0;
+            }
+            if (found < ST_MOST_IDENTITIES)
+                identity[found] = star + half;
+            found++;
         }
-        if (found < ST_MOST_IDENTITIES)
-            identity[found] = star;
-        found++;
     }
     return found <= ST_MOST_IDENTITIES ? found : 0;
 }
@@ -108,24 +122,31 @@ static int32_t first_identities(const uint16_t *votes, int32_t stars, int32_t *i
 /* The same with runners-up: all with so few votes, but two, that at most most_identities have as many. */
 static int32_t runners_up(const uint16_t *votes, int32_t stars, int32_t most_identities, int32_t *identity)
 {
-    int32_t most = 0;
+    uint32_t most = 0;
     int32_t found = 0;
-    for (int32_t star = 0; star < stars; star++) {
-        int32_t number = votes[star];
-        number_with[number]++;
-        if (number > most)
-            most = number;
+    for (int32_t star = 0; star < stars; star += 2) {
+        uint32_t word = two_votes(votes + star);
+        number_with[word & 0xffff]++;
+        number_with[word >> 16]++;
+        if ((word & 0xffff) > most)
+            most = word & 0xffff;
+        if (word >> 16 > most)
+            most = word >> 16;
     }
-    int32_t fewest = most + 1;
+    uint32_t fewest = most + 1;
     while (fewest > 2 && found + number_with[fewest - 1] <= most_identities) {
         fewest--;
         found += number_with[fewest];
     }
     memset(number_with, 0, (size_t)(most + 1) * sizeof *number_with);
     found = 0;
-    for (int32_t star = 0; star < stars; star++)
-        if (votes[star] >= fewest)
+    for (int32_t star = 0; star < stars; star += 2) {
+        uint32_t word = two_votes(votes + star);
+        if ((word & 0xffff) >= fewest)
             identity[found++] = star;
+        if (word >> 16 >= fewest)
+            identity[found++] = star + 1;
+    }
     return found;
 }
 
@@ -138,7 +159,7 @@ static void list_identities(search *s, int32_t spikes, int32_t with_runners_up)
         most_identities = ST_MOST_IDENTITIES;
     s->identities = 0;
     for (int32_t spike = 0; spike < spikes; spike++) {
-        const uint16_t *votes = s->room->votes + spike * stars;
+        const uint16_t *votes = s->room->votes + spike * s->row_stars;
         int32_t *identity = identity_star + s->identities;
         int32_t found = with_runners_up ? runners_up(votes, stars, most_identities, identity)
                                         : first_identities(votes, stars, identity);
@@ -343,6 +364,7 @@ int32_t st_identify_geometric_voting(const st_spikes *spikes, const st_star_tabl
         .room = room,
         .best_chance = INFINITY,
         .spread_rad = st_spread(usable.b, count),
+        .row_stars = ST_VOTES_OF_A_SPIKE(stars->stars),
         .voters = count < ST_MOST_VOTING_SPIKES ? count : ST_MOST_VOTING_SPIKES,
     };
     int32_t outcome = search_all(&s, max_spots);

@@ -6,10 +6,11 @@
 
 #define ST_MOST_VOTING_SPIKES 128 /* the votes of no more spikes are counted */
 #define ST_MOST_IDENTITIES 32     /* of one spike */
+#define ST_VOTES_OF_A_SPIKE(stars) (((stars) + 1) & ~1) /* they are read two by two */
 
 /* Room to work in, kept from image to image or not; it is cleared here. 12 bytes. */
 typedef struct {
-    uint16_t *votes; /* [spikes][stars], spikes at most ST_MOST_VOTING_SPIKES */
+    uint16_t *votes; /* [spikes][ST_VOTES_OF_A_SPIKE(stars)], spikes at most ST_MOST_VOTING_SPIKES */
     uint32_t *fits;  /* a bit for each two identities */
     int32_t words;   /* of `fits`: identities times their number over 32, rounded up */
 } st_voting_room;

@@ -68,11 +68,15 @@ from .verification import (
     KVECTOR_HITS,
     KVECTOR_QUERIES,
     MAGNITUDES_COMPARED,
+    MARKS_SCATTERED,
+    MARKS_STAMPED,
+    THIRD_SIDES,
     TRIADS_TESTED,
     TRIANGLES_TESTED,
     CountArray,
     exhausted_kernel,
     first_counts,
+    scattered_kernel,
     spread_kernel,
     work_of,
 )
@@ -117,6 +121,7 @@ def identify(
         solutions,
         counts,
     )
+    _count_marks_kernel(len(catalogue.catalogue), counts)
     found = best_identification(outcome, spots, solutions)
     return for_all_spikes(found, places, len(spikes)), work_of(counts)
 
@@ -136,6 +141,13 @@ def _window_kernel(
     counts[ANGLES_COMPUTED] += 1
     lowest[i, j] = lowest[j, i] = math.cos(min(math.pi, angle + tolerance_rad))
     highest[i, j] = highest[j, i] = math.cos(max(0.0, angle - tolerance_rad))
+
+
+@numba.njit(cache=True, nogil=True)
+def _count_marks_kernel(stars: int, counts: CountArray) -> None:
+    """What all marks so far are for a processor: a mark is a star's last entry and its pivot, two words."""
+    counts[MARKS_STAMPED] = counts[CANDIDATES_MARKED]
+    counts[MARKS_SCATTERED] = scattered_kernel(counts[CANDIDATES_MARKED], 2 * stars)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -211,6 +223,7 @@ def _meet_kernel(
             counts[TRIANGLES_TESTED] += 1
             if earlier == other or earlier_spot == spot:  # the latter marked while this range is read
                 continue
+            counts[THIRD_SIDES] += 1
             _window_kernel(earlier_spot, spot, b, limits[0], windows, counts)
             cosine = (
                 unit_vectors[earlier, 0] * unit_vectors[other, 0]
@@ -360,6 +373,7 @@ def _search_kernel(
                         first, end = range_first[pivot, spot], range_end[pivot, spot]
                     if end <= first:
                         continue
+                    _count_marks_kernel(catalogued, counts)
                     if exhausted_kernel(counts, limits[8]):
                         return LIMIT
                     ends = 2

@@ -40,12 +40,15 @@ from .verification import (
     CATALOGUE_ANGLES,
     KVECTOR_HITS,
     KVECTOR_QUERIES,
+    MARKS_SCATTERED,
     VOTES,
+    VOTES_CAST,
     CountArray,
     exhausted_kernel,
     false_solutions_kernel,
     first_counts,
     refine_kernel,
+    scattered_kernel,
     separation_kernel,
     spread_kernel,
     verify_kernel,
@@ -144,6 +147,9 @@ def cast_votes_kernel(
             counts[KVECTOR_QUERIES] += 1
             counts[KVECTOR_HITS] += end - first
             counts[VOTES] += 4 * (end - first)
+            counts[VOTES_CAST] += 4 * (end - first)
+            # of two spots, half a word for each star
+            counts[MARKS_SCATTERED] += scattered_kernel(4 * (end - first), votes.shape[1])
     return True
 
 

@@ -36,6 +36,8 @@ from .verification import (
     KVECTOR_HITS,
     KVECTOR_QUERIES,
     MAGNITUDES_COMPARED,
+    MARKS_SCATTERED,
+    MARKS_STAMPED,
     PAIRS_COMPARED,
     VOTES,
     CountArray,
@@ -43,6 +45,7 @@ from .verification import (
     false_solutions_kernel,
     first_counts,
     refine_kernel,
+    scattered_kernel,
     separation_kernel,
     spread_kernel,
     verify_kernel,
@@ -161,7 +164,6 @@ def acceptance_kernel(
         dy = b[pole, 1] - b[j, 1]
         dz = b[pole, 2] - b[j, 2]
         angle = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(dx * dx + dy * dy + dz * dz)))  # (36)
-        cosine[j] = math.cos(angle)
         first[j], end[j], _ = range_kernel(
             cos_angle,
             slope,
@@ -170,10 +172,12 @@ def acceptance_kernel(
             math.cos(min(math.pi, angle + tolerance_rad)),
             math.cos(max(0.0, angle - tolerance_rad)),
         )  # (37)
+        cosine[j] = b[pole, 0] * b[j, 0] + b[pole, 1] * b[j, 1] + b[pole, 2] * b[j, 2]
         room += end[j] - first[j]
     counts[ANGLES_COMPUTED] += spots - 1
     counts[KVECTOR_QUERIES] += spots - 1
     counts[KVECTOR_HITS] += room
+    counts[MARKS_SCATTERED] += scattered_kernel(2 * room, len(hp_mag))  # magnitudes are read anywhere as well
     # The union of the pairs that fit (41), chained by the star that would be the pole.
     partner = np.empty(2 * room, np.int32)
     place_of = np.empty(2 * room, np.int32)
@@ -192,6 +196,7 @@ def acceptance_kernel(
                 ):
                     continue
                 counts[CANDIDATES_MARKED] += 2
+                counts[MARKS_STAMPED] += 1
                 if last_voter[star] < base:
                     votes[star] = 0
                     head[star] = -1

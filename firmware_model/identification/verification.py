@@ -48,6 +48,8 @@ COUNT_NAMES = (
     "triads_joined",
     "third_sides",
     "cone_stars",
+    "marks_stamped",
+    "votes_cast",
 )
 KVECTOR_QUERIES, KVECTOR_HITS, ANGLES_COMPUTED, PAIRS_COMPARED = range(4)
 TRIADS_TESTED, TRIANGLES_TESTED, PYRAMIDS_TESTED, CANDIDATES_MARKED, VOTES = range(4, 9)
@@ -55,12 +57,13 @@ MAGNITUDES_COMPARED, CATALOGUE_ANGLES, SPOTS_CONFIRMED, TRIAL_STARS_PROJECTED = 
 QMETHOD_STARS, QMETHOD_SOLVES, JACOBI_ROTATIONS = range(13, 16)
 IDENTIFICATIONS, SPIKES_TAKEN, CONES_SEARCHED, SPOTS_FOLLOWED, TRIALS_CONFIRMED = range(16, 21)
 MARKS_SCATTERED, PAIRS_JOINED, FOURTHS_COMPARED, TRIADS_JOINED, THIRD_SIDES, CONE_STARS = range(21, 27)
+MARKS_STAMPED, VOTES_CAST = range(27, 29)
 
 OPERATIONS = 13  # the counts before this one are the stage identification's steps
 
 FEW_MATCHES = 6  # below this, brightness is looked at too
 MOST_NEAR = 256  # stars near one spot: more than any catalogue holds within a tolerance
-# ASSUMED: of a table with one word for each star so many stay at hand, half of a data cache of 32 KiB; its
+# ASSUMED: of the words of a table of the stars so many stay at hand, half of a data cache of 32 KiB; its
 # other half is the lists' that are read along.
 MARKS_AT_HAND = 4096
 
@@ -79,9 +82,9 @@ def work_of(counts: CountArray) -> Work:
 
 
 @numba.njit(cache=True, nogil=True)
-def scattered_kernel(marks: int, stars: int) -> int:
-    """How many of so many marks, written or read anywhere in a table of the stars, are not at hand."""
-    return marks - marks * min(stars, MARKS_AT_HAND) // stars
+def scattered_kernel(marks: int, words: int) -> int:
+    """How many of so many marks, written or read anywhere in a table of so many words, are not at hand."""
+    return marks - marks * min(words, MARKS_AT_HAND) // words
 
 
 @numba.njit(cache=True, nogil=True)

@@ -79,7 +79,7 @@ def geometric_voting_kernel(
     room = place_packed(
         machine,
         "IIi",
-        machine.reserve(_VOTE_BYTES * voters * len(tables.catalogue)),
+        machine.reserve(_VOTE_BYTES * voters * (len(tables.catalogue) + 1)),
         machine.reserve(_WORD_BYTES * words),
         words,
     )
