@@ -48,10 +48,12 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("window_samples", "threshold", "pixel of a detection window counted into the medians of its statistics"),
     ("window_noise_pixels", "threshold", "pixel of a detection window in one pass of its mean and noise"),
     ("window_pixels", "threshold", "pixel of a detection window smoothed and compared with the threshold"),
+    ("reread_pixels", "threshold", "pixel of a window larger than the data cache, from memory once more"),
     ("windows", "threshold", "detection window set up"),
     # clustering
+    ("clusterings", "clustering", "clustering in a frame begun: its code is in no cache"),
     ("run_tables", "clustering", "table of runs gone through: of a full frame or a detection window"),
-    ("frame_runs", "clustering", "run of a full frame: its pixels are in no cache by now"),
+    ("cold_runs", "clustering", "run of a full frame or a large window: its pixels are in no cache by now"),
     ("runs", "clustering", "run of pixels over threshold put into the run table"),
     ("rows_joined", "clustering", "row whose runs are compared with those of the row above"),
     ("cluster_pixels", "clustering", "pixel over threshold summed into its cluster"),

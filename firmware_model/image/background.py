@@ -109,7 +109,7 @@ def window_statistics(window: NDArray[np.uint16], scratch: NDArray[np.float64]) 
         kept = 0
         for row in range(rows):
             for column in range(columns):
-                offset = np.int64(window[row, column]) - low
+                offset = int(np.int64(window[row, column])) - low
                 if 0 <= offset <= span:
                     total += offset
                     squares += offset * offset

@@ -13,7 +13,11 @@ from .clustering import FIRST_X, FIRST_Y, LAST_X, LAST_Y, RUN_FIELDS, SUM, join_
 from .detection import DetectionParameters, sorting_work, spots_of_table
 from .spots import Rejections, WindowSpots, WindowStatus
 
-__all__ = ["detect_in_windows"]
+__all__ = ["LARGE_WINDOW_PX", "detect_in_windows"]
+
+# Pixels of 2 bytes that the flight processor's data cache of 32 KiB holds: of a larger window none is left
+# there from one pass to the next.
+LARGE_WINDOW_PX = 16384
 
 _EMPTY = int(WindowStatus.EMPTY)
 _FOUND = int(WindowStatus.FOUND)
@@ -108,6 +112,9 @@ def _detect_in_windows(
         background[i], noise[i], passes = window_statistics(window, scratch)
         counts[4] += window_samples(window.size, columns)
         counts[5] += passes * window.size
+        large = window.size > LARGE_WINDOW_PX
+        if large:
+            counts[7] += passes * window.size  # by all passes but the first, and by the smoothing
         # a 3 x 3 sum has 9 times the background and 3 times the noise of a pixel
         over = 3.0 * max(sigma_factor * noise[i], tau_min_dn)
         starts = row_start[: rows + 1]
@@ -140,6 +147,8 @@ def _detect_in_windows(
         counts[1] += clusters
         counts[2] += found
         counts[6] += rows
+        if large:
+            counts[8] += count
         if found == 0:
             status[i] = _worst_status(outcome, table, rects[i], image_width, image_height)
             continue
@@ -223,7 +232,7 @@ def detect_in_windows(
             expected = -2.5 * np.log10(np.asarray(expected_flux_dn, np.float64) / limits.zero_point_dn)
     status = np.zeros(windows, np.uint8)
     background, noise = np.zeros(windows), np.zeros(windows)
-    counts = np.zeros(7, np.int64)
+    counts = np.zeros(9, np.int64)
     tally = np.zeros(centroid.TALLIES, np.int64)
     table, window_of = _detect_in_windows(
         np.ascontiguousarray(flat, np.uint16),
@@ -243,7 +252,17 @@ def detect_in_windows(
         counts,
         tally,
     )
-    runs, clusters, found, overflowed, samples, noise_pixels, rows_joined = counts.tolist()
+    (
+        runs,
+        clusters,
+        found,
+        overflowed,
+        samples,
+        noise_pixels,
+        rows_joined,
+        reread_pixels,
+        cold_runs,
+    ) = counts.tolist()
     tallied = tally.tolist()
     rejected = Rejections(
         small=tallied[centroid.SMALL],
@@ -259,7 +278,10 @@ def detect_in_windows(
         "window_pixels": len(flat),
         "window_samples": samples,
         "window_noise_pixels": noise_pixels,
+        "reread_pixels": reread_pixels,
+        "clusterings": int(runs > 0),
         "run_tables": tallied[centroid.TABLES],
+        "cold_runs": cold_runs,
         "runs": runs,
         "rows_joined": rows_joined,
         "cluster_pixels": tallied[centroid.CLUSTER_PIXELS],

@@ -111,16 +111,28 @@ def test_a_window_does_not_depend_on_the_others(render_stars: Render, expose: Ex
     total = Work()
     for _, each in parts:
         total += each
-    sorting = {"spots_sorted"}  # n log n
-    assert {k: v for k, v in work.counts.items() if k not in sorting} == {
-        k: v for k, v in total.counts.items() if k not in sorting
+    apart = {"spots_sorted", "clusterings"}  # n log n; once a frame
+    assert {k: v for k, v in work.counts.items() if k not in apart} == {
+        k: v for k, v in total.counts.items() if k not in apart
     }
+    assert (work["clusterings"], total["clusterings"]) == (1, 3)
     assert work["windows"] == 4
     assert work["window_pixels"] == sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in rects)
     # every 2nd, 2nd, 4th (30 columns are divisible by 3) and 3rd pixel of 483, 441, 630 and 525
     assert work["window_samples"] == 242 + 221 + 158 + 175
     passes = work["window_noise_pixels"] / work["window_pixels"]
     assert 1 <= passes <= 12
+
+
+@pytest.mark.parametrize(("width", "large"), [(128, False), (129, True)])
+def test_of_a_window_larger_than_the_cache_nothing_is_left_there(
+    render_stars: Render, expose: Expose, width: int, large: bool
+) -> None:
+    image = sky(render_stars, expose, [(50.2, 50.7, 5400), (110.1, 80.3, 9000)])
+    found, work = search(image, [[10, 20, 10 + width, 148]], keep=2)
+    assert len(found) == 2
+    assert work["reread_pixels"] == (work["window_noise_pixels"] if large else 0)
+    assert work["cold_runs"] == (work["runs"] if large else 0)
 
 
 def test_the_brightest_or_the_expected_one(render_stars: Render, expose: Expose) -> None:
