@@ -54,8 +54,8 @@ TRACKED: Final = 2  # frames of a sequence after the one lost in space
 FIT: Final = 926
 HELD_OUT: Final = 5226
 # Steps of identification (Work.operations) that the simulation of one frame is given; a frame with more is
-# left out, as its search alone would take minutes. No unit's budget allows so many.
-MOST_STEPS: Final = 1_500_000
+# left out, as its search alone would take many seconds. It is four times what a frame period has room for.
+MOST_STEPS: Final = 400_000
 _NO_LIMIT = 100_000_000
 # Of records: frames, and the spots of a frame lost in space given to the algorithms that it was not for.
 LOST_IN_SPACE: Final = "lost_in_space"
