@@ -20,6 +20,9 @@
 #define FLUX_BITS 15
 #define MOMENT_BITS 13
 
+/* 0.01 DN: what rounding leaves of no light at all. */
+#define LEAST_FLUX (((int64_t)1 << (FLUX_BITS + PLACE_BITS)) / 100)
+
 enum { RECENTRINGS = 2, RING_GAP_PX = 1, RING_WIDTH_PX = 3, LEAST_RING_PX = 8 };
 
 /* One axis of one cluster. */
@@ -265,11 +268,13 @@ static int32_t place_of(int32_t origin, double pixels)
     return (int32_t)((origin + pixels) * ONE_PX + 0.5);
 }
 
-/* A place moved by some pixels, kept within what the next sums can hold: far off is out of the image. */
+/* A place moved by some pixels, rounded to PLACE_BITS. However far off, it stays within 32 bits. */
 static int32_t moved_by(int32_t place, double pixels)
 {
-    double most = 16000.0;
-    return place + (int32_t)((pixels > most ? most : pixels < -most ? -most : pixels) * ONE_PX);
+    const int32_t most = 16000;
+    if (pixels > most || pixels < -most)
+        pixels = pixels > 0.0 ? most : -most;
+    return place + (int32_t)(pixels * ONE_PX + (most * (double)ONE_PX + 0.5)) - most * ONE_PX;
 }
 
 /* Why a cluster need not be measured, or -1. */
@@ -286,9 +291,10 @@ static int32_t refused(const st_image *image, const st_cluster *cluster, const s
     return cluster->sum <= 0 ? ST_FAINT : -1;
 }
 
-static int32_t within_cluster(const axis *along)
+/* A centroid may lie a pixel off its cluster. */
+static int32_t within_cluster(const axis *along, double px)
 {
-    return along->centre >= (along->first - 1) * ONE_PX && along->centre <= (along->last + 1) * ONE_PX;
+    return px >= along->first - 1 && px <= along->last + 1;
 }
 
 /* The square around a cluster that its window may touch in any pass, with the ring outside it; inner_x and
@@ -332,7 +338,7 @@ static int32_t centre_of_mass(
             return ST_EDGE;
         *narrowed = narrow_x || narrow_y;
         sum_window(by->image, about, x, y, background, hug, by->weights, sums);
-        if (sums->flux <= 0)
+        if (sums->flux <= LEAST_FLUX)
             return ST_FAINT;
         double flux = (double)sums->flux * (1.0 / (1 << (FLUX_BITS - MOMENT_BITS)));
         double right = (double)sums->moment_x / flux;
@@ -342,7 +348,7 @@ static int32_t centre_of_mass(
         x->centre = moved_by(x->centre, right);
         y->centre = moved_by(y->centre, down);
     }
-    return within_cluster(x) && within_cluster(y) ? -1 : ST_FAINT;
+    return within_cluster(x, *x_px) && within_cluster(y, *y_px) ? -1 : ST_FAINT;
 }
 
 /* A cluster measured; returns why it is no spot, or -1. */

@@ -67,9 +67,11 @@ OTHER = np.uint8(2)
 RECENTRINGS = 2
 # ASSUMED: no window narrower than 4 px in full: below, pixel phase errors exceed 0.01 px for sigma 0.7 px.
 LEAST_HALF_WIDTH_PX = 2.0
-# Fractions of a pixel that places have in the first pass, as the flight kernels have them: the window and the
-# ring of a cluster that just fills them must not depend on the rounding of a quotient.
+# Fractions of a pixel that a window's centre has, as the flight kernels have it: the window and the ring of a
+# cluster that just fills them must not depend on the rounding of a quotient.
 PLACES_PER_PX = 65536.0
+# ASSUMED: less than this in a window is what rounding leaves of no light at all.
+LEAST_FLUX_DN = 0.01
 # The ring for the local background: from 1 px outside the window, 3 px wide (120 px about a 5 x 5 window).
 # ASSUMED: far enough from the star's wings, near enough for gradients, many enough for the flux's accuracy.
 RING_GAP_PX = 1
@@ -149,6 +151,11 @@ def _ring_background(
 
 
 @numba.njit(cache=True, nogil=True)
+def _place(px: float) -> float:
+    return math.floor(px * PLACES_PER_PX + 0.5) / PLACES_PER_PX
+
+
+@numba.njit(cache=True, nogil=True)
 def _half_width(centre: float, first: float, last: float, nominal: float, grow: float) -> float:
     """Half-width of the window along one axis: the nominal one, or what holds the cluster."""
     extent = max(centre - (first - 0.5), (last + 0.5) - centre)
@@ -219,8 +226,8 @@ def measure_spots(
             tally[REFUSED] += 1
             continue
 
-        centre_x = math.floor(entry[SUM_X] / entry[SUM] * PLACES_PER_PX + 0.5) / PLACES_PER_PX
-        centre_y = math.floor(entry[SUM_Y] / entry[SUM] * PLACES_PER_PX + 0.5) / PLACES_PER_PX
+        centre_x = _place(entry[SUM_X] / entry[SUM])
+        centre_y = _place(entry[SUM_Y] / entry[SUM])
         background = entry[BACKGROUND]
         wide_x = _half_width(centre_x, first_x, last_x, nominal, grow)
         wide_y = _half_width(centre_y, first_y, last_y, nominal, grow)
@@ -245,6 +252,7 @@ def measure_spots(
         flux = 0.0
         narrowed = False
         for _ in range(RECENTRINGS):
+            centre_x, centre_y = _place(centre_x), _place(centre_y)
             wide_x = _half_width(centre_x, first_x, last_x, nominal, grow)
             wide_y = _half_width(centre_y, first_y, last_y, nominal, grow)
             room_x = min(centre_x + 0.5, columns - 0.5 - centre_x)
@@ -286,15 +294,16 @@ def measure_spots(
                 sum_y += line * share_y * (row - centre_y)
             tally[PASSES] += 1
             tally[WINDOW_PIXELS] += (row_last + 1 - row_first) * (column_last + 1 - column_first)
-            if flux <= 0.0:
+            if flux <= LEAST_FLUX_DN:
                 break
             centre_x += sum_x / flux
             centre_y += sum_y / flux
         inside = first_x - 1.0 <= centre_x <= last_x + 1.0 and first_y - 1.0 <= centre_y <= last_y + 1.0
         if outcome[cluster] < 0:
-            magnitude = -2.5 * math.log10(flux / limits.zero_point_dn) if flux > 0.0 and inside else np.inf
+            lit = flux > LEAST_FLUX_DN and inside
+            magnitude = -2.5 * math.log10(flux / limits.zero_point_dn) if lit else np.inf
             peak = entry[PEAK] + entry[BACKGROUND] - background
-            if not magnitude <= limits.magnitude_limit or not inside or flux <= 0.0:
+            if not magnitude <= limits.magnitude_limit or not lit:
                 outcome[cluster] = FAINT
             elif peak > limits.max_peak_fraction * flux:
                 outcome[cluster] = SHARP
