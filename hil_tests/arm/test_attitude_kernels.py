@@ -57,7 +57,7 @@ def scene(
     return {
         "measured": measured,
         "reference": reference,
-        "flux_dn": 10.0 ** rng.uniform(0, 5, stars),
+        "flux_dn": 10.0 ** rng.uniform(-1, 5, stars),
         "noise_dn": float(rng.uniform(0.5, 8)),
         "centroid_error": ERRORS,
         "focal_px": FOCAL_PX,
@@ -247,13 +247,15 @@ def test_rates(machine: ArmMachine, speed_rad_s: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("speed_rad_s", "sigma_rad", "high"), [(0.05, 1e-9, 0), (0.2, 1e-9, 1), (0.2, 0.1, 0)]
+    ("speed_rad_s", "sigma_rad", "high"),
+    [(0.05, 1e-9, 0), (0.2, 1e-9, 1), (0.2, 0.1, 0), (0.2, 0.0055, 1), (0.2, 0.0065, 0)],
 )
 def test_a_rate_is_too_high_beyond_three_sigma(
     machine: ArmMachine, speed_rad_s: float, sigma_rad: float, high: int
 ) -> None:
     rate = place_vectors(machine, [0.0, speed_rad_s, 0.0])
     covariance = place_vectors(machine, np.diag([0.0, sigma_rad**2, 0.0]))
+    # of both attitudes over 0.25 s: 0.1 rad/s over the limit is three sigma at 0.0059 rad
     call = machine.call("st_rate_too_high", rate, 0.25, covariance, covariance, 0.1)
     assert call.result == high
 
@@ -280,6 +282,13 @@ def test_the_chance_of_a_false_solution(machine: ArmMachine, seed: int, matched:
     for matches, spots in ((2, 9), (5, 4)):
         result = machine.call("st_false_solutions", stars, spots, matches, spread, tolerance_rad).result_pair
         assert result == math.inf == false_solutions_kernel(stars, spots, matches, spread, tolerance_rad)
+
+
+def test_a_chance_beyond_all_numbers_stays_one(machine: ArmMachine) -> None:
+    spread, tolerance_rad = 0.1, 0.03  # 1000 spots, and a star within each one's tolerance by chance
+    chance = machine.call("st_false_solutions", 10_000, 1000, 400, spread, tolerance_rad).result_pair
+    assert chance == pytest.approx(math.exp(700.0), rel=1e-9)
+    assert chance == pytest.approx(false_solutions_kernel(10_000, 1000, 400, spread, tolerance_rad), rel=1e-9)
 
 
 def test_software_arithmetic_costs_what_a_trial_found(machine: ArmMachine) -> None:
