@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.compiler import Build, find_compiler, shared_build
 
