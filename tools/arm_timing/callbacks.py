@@ -132,7 +132,7 @@ def _halt(state, engine, reason, address):
     _stop(state[STOP_FUNCTION], engine)
 
 
-@njit
+@njit(cache=True)
 def settle(state, executed):
     """Close what was left open of the instruction before."""
     kind, entry = state[OPEN], state[OPEN_ENTRY]
