@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from binascii import crc_hqx
 from dataclasses import asdict
 from pathlib import Path
 
@@ -187,6 +188,16 @@ def code_of(program: Path) -> list[tuple[int, int]]:
     marks = [mark for mark in marks if first <= mark[0] < last]
     ends = [address for address, _ in marks[1:]] + [last]
     return [(start, end) for (start, kind), end in zip(marks, ends, strict=True) if kind == "$a"]
+
+
+def test_a_kernel_with_its_caches(machine):
+    data = np.random.default_rng(3).integers(0, 256, 700).astype(np.uint8)
+    address = machine.place(data)
+    machine.flush_caches()
+    steps, cost = record(machine, "st_crc16", address, data.size)
+    for figure, value in asdict(total_of(machine, steps)).items():
+        assert getattr(cost, figure) == value, figure
+    assert machine.call("st_crc16", address, data.size).result == crc_hqx(data.tobytes(), 0xFFFF)
 
 
 DOUBLES = [(1.5, 2.25), (-3.0, 0.1), (1e300, 1e-300), (2.0, 2.0), (-0.0, 5.0), (1e-310, 3.0)]
