@@ -197,6 +197,20 @@ def test_what_is_off_shows_in_the_errors():
     assert "25.0% of the simulated program" in document["accuracy"]
 
 
+def test_a_stage_under_a_tenth_of_a_millisecond_is_taken_relative_to_that():
+    """100 runs are 4 us: half of them too little is 2 us of 100 us; a thousand times as many are judged by
+    themselves.
+    """
+    cycles = 1 + 48 * FILLS_PER_CYCLE[32]
+    for runs, expected in ((100, 100 * true_cycles("runs") * cycles / 2 / 40_000), (100_000, 0.5)):
+        sample = sample_of(0, 0, TRACKING, "clustering", {"runs": runs})
+        predicted = dict(zip(TARGETS, sample.values, strict=True))
+        half = {target: value / 2 for target, value in predicted.items()}
+        (error,) = stage_errors([sample], lambda _, half=half: half)
+        assert error.error == pytest.approx(-expected, rel=1e-2)
+        assert by_stage([error])["clustering"].short == (runs == 100)
+
+
 def test_class_counts_are_those_of_the_fit(document):
     fitted = sample_set(1, 40)
     assert document["class_counts"] == {

@@ -41,7 +41,7 @@ def show_document(console: Console, document: Mapping[str, Any]) -> None:
 def show_errors(console: Console, document: Mapping[str, Any]) -> None:
     """Errors of the predictions: frames of the fit and held out, by stage, and whole frames."""
     table = Table(title="Error of the predicted cycles, 32 KiB caches", title_justify="left")
-    for column in ("", "frames", "median", "p95", "worst", "bias", "limit"):
+    for column in ("", "frames", "under 0.1 ms", "median", "p95", "worst", "bias", "limit"):
         table.add_column(column, justify="left" if not column else "right")
     for title, key, limit in (
         ("fit", "residuals", STAGE_LIMIT),
@@ -54,6 +54,7 @@ def show_errors(console: Console, document: Mapping[str, Any]) -> None:
             table.add_row(
                 f"{title}: {name.replace('_', ' ')}",
                 str(item["frames"]),
+                str(item["short"] or ""),
                 *shares,
                 f"{item['bias']:+.1%}",
                 f"{limit:.0%}",
