@@ -207,7 +207,7 @@ def test_a_stage_under_a_tenth_of_a_millisecond_is_taken_relative_to_that():
         predicted = dict(zip(TARGETS, sample.values, strict=True))
         half = {target: value / 2 for target, value in predicted.items()}
         (error,) = stage_errors([sample], lambda _, half=half: half)
-        assert error.error == pytest.approx(-expected, rel=1e-2)
+        assert error.error == pytest.approx(-expected, rel=3e-2)  # of whole cycles and fills
         assert by_stage([error])["clustering"].short == (runs == 100)
 
 
