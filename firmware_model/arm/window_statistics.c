@@ -155,6 +155,8 @@ void st_window_statistics(const st_image *window, st_statistics *statistics)
     int64_t level_total = twice;
     int32_t level_count = 2;
     for (int32_t pass = 0; pass < MOST_PASSES; pass++) {
+        if (low < 0)
+            low = 0; /* no pixel is below, and offsets stay small */
         sums sum = sum_between(pixels, size, low, (uint32_t)(high - low));
         int32_t kept = (int32_t)sum.kept;
         if (kept < 2)
