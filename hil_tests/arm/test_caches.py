@@ -42,6 +42,17 @@ FOLLOW = """
     1afffff8  bne #0xffffffe8
     e12fff1e  bx lr
 """
+# As FOLLOW, but each address is read, and then written too if bit 0 is set.
+CHANGE = """
+    e4903004  ldr r3, [r0], #4
+    e3130001  tst r3, #1
+    e3c33001  bic r3, r3, #1
+    e5932000  ldr r2, [r3]
+    15832000  strne r2, [r3]
+    e2511001  subs r1, r1, #1
+    1afffff8  bne #0xffffffe8
+    e12fff1e  bx lr
+"""
 # r0: how often the code before is run through: 1536 instructions, 6 KiB.
 LOOP = [NOP] * 1533 + words_of(
     """
@@ -54,6 +65,7 @@ FUNCTIONS = {
     "read": words_of(READ),
     "write": words_of(WRITE),
     "follow": words_of(FOLLOW),
+    "change": words_of(CHANGE),
     "loop": LOOP,
 }
 
@@ -137,6 +149,17 @@ def test_written_lines_are_written_back_when_they_are_replaced(caches):
     assert caches.call("read", address, lines).cost.write_backs == dict.fromkeys(SIZES, 0)
 
 
+def test_a_line_that_is_read_and_then_written_is_written_back(caches):
+    """Twice the same line in a row, which the callback knows without looking."""
+    lines = 128  # all of 4 KiB, with the list in lines of its own
+    address, other = caches.reserve(lines * LINE), caches.reserve(lines * LINE)
+    table = caches.place((np.arange(lines) * LINE + address | 1).astype("<u4"))
+    first = caches.call("change", table, lines).cost
+    second = caches.call("read", other, lines).cost
+    assert first.write_backs[4] + second.write_backs[4] == lines
+    assert first.write_backs[32] + second.write_backs[32] == 0
+
+
 def test_what_a_device_wrote_is_not_in_the_cache(caches):
     array = np.zeros(50 * LINE, np.uint8)
     address = caches.place(array)
@@ -215,8 +238,9 @@ def test_each_size_alone_is_as_among_others(elf, caches):
     seed=st.integers(0, 1 << 30),
     reach=st.sampled_from((256, 6 << 10, 20 << 10, 100 << 10)),
     write_share=st.sampled_from((0.0, 0.3, 0.9)),
+    read_first=st.booleans(),
 )
-def test_random_accesses_against_lists_of_lines(machine_of_module, seed, reach, write_share):
+def test_random_accesses_against_lists_of_lines(machine_of_module, seed, reach, write_share, read_first):
     machine = machine_of_module
     machine.release()
     machine.flush_caches()
@@ -228,12 +252,15 @@ def test_random_accesses_against_lists_of_lines(machine_of_module, seed, reach, 
     addresses[: count // 2] = base + np.arange(count // 2) * 4 % reach
     writes = generator.random(count) < write_share
     table = machine.place((addresses | writes).astype("<u4"))
-    cost = machine.call("follow", table, count).cost
+    cost = machine.call("change" if read_first else "follow", table, count).cost
     for kib in SIZES:
         cache = CacheList(kib)
         for index in range(count):
             cache.access(table + 4 * index)
-            cache.access(int(addresses[index]), write=bool(writes[index]))
+            if read_first or not writes[index]:
+                cache.access(int(addresses[index]))
+            if writes[index]:
+                cache.access(int(addresses[index]), write=True)
         assert cost.data_fills[kib] == cache.fills
         assert cost.write_backs[kib] == cache.write_backs
 
