@@ -44,8 +44,10 @@ prepare_environment() {
     [ -x .venv/bin/python ] && .venv/bin/python -c '' 2>/dev/null || make_environment
     stamp=.venv/.installed${extra:+-$extra}
     wanted=$(cksum <pyproject.toml)
-    # What was installed with an extra holds what is needed without one.
+    # What was installed with an extra holds what is needed without one, and the tests' holds the ARM tools'.
     if [ -z "$extra" ] && grep -qxs -- "$wanted" .venv/.installed*; then
+        stamp=
+    elif [ "$extra" = arm ] && grep -qxs -- "$wanted" .venv/.installed-test; then
         stamp=
     fi
     if [ -n "$stamp" ] && [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
