@@ -59,6 +59,8 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("cluster_pixels", "clustering", "pixel over threshold summed into its cluster"),
     ("clusters", "clustering", "cluster with its sums completed"),
     # centroid
+    ("measurings", "centroid", "measurement of a frame's clusters begun: its code is in no cache"),
+    ("first_centroids", "centroid", "first centre of mass of a frame: its code is in no cache"),
     ("cluster_tables", "centroid", "table of clusters gone through: of a full frame or a detection window"),
     ("clusters_refused", "centroid", "cluster refused for its size or place before it is measured"),
     ("mask_pixels", "centroid", "pixel of the square round a cluster that shows whose its pixels are"),

@@ -44,8 +44,10 @@ class SpotLimits(NamedTuple):
 
 
 def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
-    """Counts of the stage centroid of what ``measure_spots`` has tallied."""
+    """Counts of the stage centroid of what ``measure_spots`` has tallied in one frame."""
     return {
+        "measurings": int(tally[TABLES] > 0),
+        "first_centroids": int(tally[PASSES] > 0),
         "cluster_tables": tally[TABLES],
         "clusters_refused": tally[REFUSED],
         "mask_pixels": tally[MASK_PIXELS],
