@@ -27,6 +27,7 @@ from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.identification.verification import false_solutions_kernel, spread_kernel
 from st_emulator.firmware_model.work import Work
 from tools.arm_timing.machine import ArmMachine
+from tools.calibration.steps import attitude_parts
 from tools.calibration.steps.attitude import STEPS, place_vectors
 from tools.calibration.steps.step import MismatchError, StageRun
 
@@ -178,6 +179,22 @@ def test_sums_and_products_are_the_same_bits(machine: ArmMachine, seed: int, sta
     for place, expected in zip(out, (q, matrix, covariance), strict=True):
         assert (machine.read(place, np.float64, expected.shape) == expected).all()
     machine.release()
+
+
+@SHARED_MACHINE
+@given(st.integers(0, 10_000))
+def test_parts_of_an_attitude_one_by_one(machine: ArmMachine, seed: int) -> None:
+    (step,) = attitude_parts.STEPS
+    records = attitude_parts.own_records(seed, 3)
+    assert [record.arguments["part"] for record in records] == list(attitude_parts.PARTS)
+    for record in records:
+        (first,), (again,) = step.run(machine, record), step.run(machine, record)
+        assert first.cost.core_cycles == again.cost.core_cycles
+        assert first.cost.line_fills() == again.cost.line_fills() == 0  # warm
+        with pytest.raises(MismatchError, match="attitude_part"):
+            step.run(
+                machine, replace(record, result=record.result + 2e-12 * abs(record.result).max() + 2e-12)
+            )
 
 
 def test_velocity_of_the_earth_over_a_century(machine: ArmMachine) -> None:

@@ -1,6 +1,6 @@
 """Rounds of the link: what packets and telecommands ask of the processor between two frames.
 
-No frame's trace has them. ``own_records`` makes them for the calibration: always the attitude report, now and
+No frame's trace has them. ``own_records`` makes them for the calibration: mostly the attitude report, now and
 then telecommands with their reports, parts of an image, or an image to keep.
 """
 
@@ -171,8 +171,9 @@ def own_records(seed: int, n: int) -> list[StepRecord]:
 
 def _round(rng: np.random.Generator) -> LinkRound:
     line = slip_encode(_noise(rng)) if rng.random() < 0.2 else b""
-    packets = [Packet("attitude_report", attitude_fields(rng), packet_header(rng))]
-    for _ in range(int(rng.integers(1, 4)) if rng.random() < 0.4 else 0):
+    reports = int(rng.random() < 0.8)  # a unit can be told to send none
+    packets = [Packet("attitude_report", attitude_fields(rng), packet_header(rng)) for _ in range(reports)]
+    for _ in range(int(rng.integers(1, 4)) if not reports or rng.random() < 0.4 else 0):
         raw = random_telecommand(rng)
         line += slip_encode(raw)
         request = {"request_id": RequestId.from_packet(raw).as_fields()}
