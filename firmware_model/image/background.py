@@ -21,7 +21,8 @@ PAIR_DISTANCE_PX = 4
 def frame_samples(image: NDArray[np.uint16]) -> int:
     """How many pairs of its pixels ``frame_statistics`` takes."""
     rows, columns = image.shape
-    return min(NOISE_SAMPLES, rows * (columns - min(PAIR_DISTANCE_PX, columns - 1)))
+    total = int(rows * (columns - min(PAIR_DISTANCE_PX, columns - 1)))
+    return min(NOISE_SAMPLES, total)
 
 
 @numba.njit(cache=True, nogil=True)
