@@ -103,7 +103,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("votes_cast", "identification", "vote added to a spot's votes for a star", False),
     # tracking
     ("tracking_plans", "tracking", "plan of windows begun: attitude matrix, cone of the neighbours"),
-    ("neighbours_read", "tracking", "entry of the neighbour table read"),
+    ("neighbours_read", "tracking", "star of the sky grid's cells compared with the cone of the neighbours"),
     ("predicted_stars_tested", "tracking", "catalogue star rotated, four-plane test R (3)-(4)"),
     ("predicted_stars_projected", "tracking", "predicted star projected to pixels"),
     ("windows_planned", "tracking", "window sized, clipped, compared with one other for merging"),
@@ -111,7 +111,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("angles_verified", "tracking", "angle between the pivot's spot and another computed, R step 5"),
     ("angles_compared", "tracking", "angle of two spots compared with that of two stars"),
     ("reference_angles", "tracking", "angle between the pivot and another predicted star computed"),
-    ("pivots_tried", "tracking", "star tried as pivot"),
+    ("pivots_tried", "tracking", "spot tried as the pivot's"),
     ("spots_assigned", "tracking", "distance of a spot to a predicted star computed"),
     # attitude
     ("qmethod_stars", "attitude", "star summed into the attitude profile matrix"),

@@ -5,8 +5,7 @@
 #include <stdint.h>
 
 /* The grid of one star catalogue with the catalogue's directions: firmware_model/catalogue/sky_cells.py.
- * Thirty-two bytes: the double, four pointers' worth of words from byte 8, padding; band_first_cell has
- * bands + 1 entries, cell_start one more than there are cells. */
+ * band_first_cell has bands + 1 entries, cell_start one more than there are cells. 32 bytes. */
 typedef struct {
     double band_height_rad;
     int32_t bands;
