@@ -9,6 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 from rich.console import Console
 
+from .budget.cli import budget
 from .errors import ConfigurationError
 
 app = typer.Typer(
@@ -256,6 +257,9 @@ def campaign(
 
     options = CampaignOptions(unit, n, seed, workers, dask, results, restart, json_path, plot)
     raise typer.Exit(run_campaign(name, options, console_for(json_path)))
+
+
+app.command()(budget)
 
 
 @app.command()

@@ -117,16 +117,18 @@ class Assessment:
             if item.objective.mode == mode and item.objective.search == search_kind
         )
 
-    def median_cost(self, mode: str) -> Cost:
-        """The frame in the middle of the random ones, as flown."""
-        costs = [self.costing.cost(counts) for counts in self._flown(mode)]
-        return sorted(costs, key=lambda cost: cost.frame.value)[len(costs) // 2]
-
-    def _flown(self, mode: str) -> list[Counts]:
+    def median_cost(self, mode: str, pipelined: bool) -> Cost:
+        """The frame in the middle of the random ones, with its search limited as in that mode of the
+        pipeline."""
         skies = self.samples[: len(self.plan.skies)]
-        if mode == LOST_IN_SPACE:
-            return [sky.lost.counts for sky in skies]
-        return [item.counts for sky in skies for item in sky.tracked]
+        if mode == TRACKING:
+            counts = [item.counts for sky in skies for item in sky.tracked]
+        elif pipelined == self.subject.pipelined:
+            counts = [sky.lost.counts for sky in skies]
+        else:
+            counts = [sky.lost.other_counts for sky in skies]
+        costs = sorted((self.costing.cost(item) for item in counts), key=lambda cost: cost.frame.value)
+        return costs[len(costs) // 2]
 
 
 def assess(order: Order, workers: Workers) -> Assessment:

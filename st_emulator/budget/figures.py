@@ -34,9 +34,11 @@ class Figure:
         ends = sorted((self.low * factor, self.high * factor))
         return Figure(self.value * factor, ends[0], ends[1])
 
-    def text(self, digits: int = 2) -> str:
-        """``8.89 (7.62 to 10.9)``, as many digits behind the point."""
-        return f"{self.value:.{digits}f} ({self.low:.{digits}f} to {self.high:.{digits}f})"
+    def text(self) -> str:
+        """``8.89 (7.62..9.15)``: three digits of the largest, as many behind the point in all."""
+        largest = max(abs(self.low), abs(self.high))
+        digits = 2 if largest < 9.995 else 1 if largest < 99.95 else 0
+        return f"{self.value:.{digits}f} ({self.low:.{digits}f}..{self.high:.{digits}f})"
 
     def as_dict(self) -> dict[str, float]:
         return {"value": self.value, "low": self.low, "high": self.high}

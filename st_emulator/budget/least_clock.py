@@ -106,10 +106,10 @@ class LeastClock:
         return Figure(values[1] / 1e6, values[0] / 1e6, values[2] / 1e6)
 
     def text(self) -> str:
-        """``88 (79 to 101) MHz``."""
+        """``88.1 (79.4..99.2) MHz``."""
         figure = self.figure_mhz
         if figure is not None:
-            return f"{figure.text(0)} MHz"
+            return f"{figure.text()} MHz"
         names = zip(("low", "nominal", "high"), (self.low_hz, self.nominal_hz, self.high_hz), strict=True)
         return ", ".join(
             f"{name} cost: {'none at any clock' if hz is None else f'{hz / 1e6:.0f} MHz'}"

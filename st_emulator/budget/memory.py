@@ -80,8 +80,8 @@ class PaperCatalogue:
         row_bytes = self.paper_bytes / self.paper_pairs
         own_bytes = self.pair_bytes / max(1, self.pairs)
         return (
-            f"The paper's 38 MB are {row_bytes:.0f} bytes for each of 2 million rows (angle in degrees, pivot, "
-            f"pair), with neighbours in a cone of twice the field. This unit holds {self.pairs:,} pairs, "
+            f"The paper's 38 MB are {row_bytes:.0f} bytes for each of 2 million rows (angle, pivot, pair), "
+            f"with neighbours in a cone of twice the field. This unit holds {self.pairs:,} pairs, "
             f"each once and no wider than the diagonal of its field ({self.max_angle_deg:.1f} deg): "
             f"{own_bytes:.0f} bytes a pair (cosine 8, two rows of the catalogue 4 each, k-vector 4), "
             f"{self.pair_bytes / 1e6:.1f} MB; neighbours come from a grid of the sky instead. "

@@ -104,7 +104,7 @@ def random_conditions(
     return [
         Conditions(
             attitude=_four(attitudes[number]),
-            rate_deg_s=_three(rate_deg_s * axes[number]),
+            rate_deg_s=_three(rate_deg_s * axes[number] + 0.0),  # no zero with a sign
             false_stars=false_stars,
             noise=number,
             frames_lost=frames_lost,
@@ -176,7 +176,8 @@ def scenario_frames(
 ) -> Iterator[FrameInputs]:
     """The same of a scenario's sky and trajectory, from the frame that begins at ``start_ns`` on.
 
-    number: of the noise, so that frames at one time differ. Raises ConfigurationError: see `scene_of`.
+    number: of the noise, so that frames at one time differ; three times it is the index of the frame lost in
+    space (with two tracked), whose noise is then that of the unit's own frame of that index. Raises ConfigurationError: see `scene_of`.
     """
     start = tai_ns_from_utc(scenario.start_utc)
     renderer = _scenario_renderer(profile.model_dump_json(), scenario.model_dump_json(by_alias=True), start)
@@ -292,10 +293,11 @@ def _renderer(profile: UnitProfile, conditions: Conditions) -> SceneRenderer:
     return renderer
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def _scenario_renderer(profile_json: str, scenario_json: str, start_tai: int) -> SceneRenderer:
     profile = UnitProfile.model_validate_json(profile_json)
-    return scene_of(profile, Scenario.model_validate_json(scenario_json), SPECIMEN, start_tai)
+    scenario = Scenario.model_validate_json(scenario_json)
+    return scene_of(profile, scenario, scenario.seed, start_tai)
 
 
 def _four(values: NDArray[np.float64]) -> tuple[float, float, float, float]:

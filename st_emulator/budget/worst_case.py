@@ -17,7 +17,7 @@ import numpy as np
 from ..campaigns.workers import Workers
 from ..profile import UnitProfile
 from ..scenario import Scenario
-from .figures import Cost, Costing
+from .figures import Cost, Costing, Figure
 from .modes import LOST_IN_SPACE, TRACKING
 from .mutation import Domain, domain_of, mutated
 from .samples import Counts, Instant, Look, SkySample, look
@@ -91,8 +91,8 @@ class IslandOutcome:
 class WorstCase:
     """The heaviest frame found for an objective.
 
-    frame: 0 lost in space, 1 on tracked. worst_before: cycles of the heaviest of the frames that the search
-    began with, at the nominal cost. evaluations: skies tried by the islands of this objective.
+    frame: 0 lost in space, 1 on tracked. before: cycles of the heaviest of the frames that the search began
+    with. evaluations: skies tried by the islands of this objective.
     """
 
     objective: Objective
@@ -100,7 +100,7 @@ class WorstCase:
     frame: int
     sample: SkySample
     cost: Cost
-    worst_before: float
+    before: Figure
     evaluations: int
     improvements: int
 
@@ -109,7 +109,7 @@ class WorstCase:
             "mode": self.objective.mode,
             "search": self.objective.search,
             "cycles": {row: figure.as_dict() for row, figure in self.cost.by_row.items()},
-            "worst_before_search_cycles": self.worst_before,
+            "worst_before_search": self.before.as_dict(),
             "evaluations": self.evaluations,
             "improvements": self.improvements,
             "inputs": inputs_of(self.place, self.frame, changed),
@@ -164,17 +164,17 @@ def search(
     """
     costing = Costing(subject.processor)
     islands = []
-    before: dict[int, float] = {}
+    before: dict[int, Figure] = {}
     each = max(1, evaluations // (len(OBJECTIVES) * ISLANDS))
     for place, objective in enumerate(OBJECTIVES):
         domain = domain_of(subject, objective.mode, scenario)
         usable = [
-            (objective.value(costing, sample), number, case.place)
+            (objective.value(costing, sample), number, case.place, sample)
             for number, (case, sample) in enumerate(seen)
             if case.changed == subject.changed and domain.holds(case.place)
         ]
         usable.sort(key=lambda item: (-item[0], item[1]))
-        before[place] = usable[0][0]
+        before[place] = costing.cost(objective.heaviest(costing, usable[0][3])[1]).frame
         for number in range(ISLANDS):
             starts = tuple(item[2] for item in usable[number : PARENTS * ISLANDS : ISLANDS])
             if starts:
