@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import replace
 from typing import Any
@@ -115,6 +116,15 @@ def test_statistics_are_those_of_python(machine: ArmMachine, noise_dn: float) ->
         found = statistics(machine, clipped)
         assert found[0] == background  # to the last bit
         assert found[1] == pytest.approx(noise, rel=binding.NOISE_BOUND, abs=1e-9)
+
+
+@pytest.mark.parametrize("least", [0, 1, 40])
+@pytest.mark.parametrize("beyond", [126, 127, 128, 129, 255, 256])
+def test_the_median_far_from_the_least_value(machine: ArmMachine, least: int, beyond: int) -> None:
+    """Values are counted in parts of the range, those between two parts once: 502 +- 4 sigma is kept."""
+    low = least + beyond
+    window = np.array([[least, low, 500], [501, low, 502], [503, low, 504]], np.uint16)
+    assert statistics(machine, window) == (502.0, pytest.approx(math.sqrt(2.0), rel=1e-9))
 
 
 @SHARED_MACHINE
