@@ -55,11 +55,12 @@ def cone(
 ) -> tuple[int, list[int]]:
     """(stars counted, rows written) of st_stars_in_cone."""
     capacity = len(sky.catalogue) if room is None else room
-    found = machine.reserve(4 * capacity)
+    found = machine.place(np.full(capacity + 1, -1, np.int32))
     x, y, z = (float(value) for value in direction)
     catalogue = binding.place_catalogue(machine, sky.catalogue)
     call = machine.call("st_stars_in_cone", catalogue, x, y, z, radius_rad, found, capacity)
     rows = machine.read(found, np.int32, min(call.result, capacity)).tolist()
+    assert machine.read(found, np.int32, capacity + 1)[-1] == -1  # nothing is written beyond the room
     machine.release()
     return call.result, rows
 
