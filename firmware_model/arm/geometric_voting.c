@@ -3,7 +3,7 @@
  *
  * Directions and cosines are software double precision in the Python stage's order of operations, so that
  * the same angles fit. Votes are halfwords, read two by two, and which identities fit each other is a bit
- * each, so that both tables stay small. A star cannot get 65536 votes: one of each pair of stars that it is in
+ * each, so that both tables stay small. A star cannot get 65536 votes: one of each pair of stars it is in
  * (some thousands at most) and each other spike, whose narrow ranges have few of these pairs. */
 #include "geometric_voting.h"
 
@@ -94,17 +94,18 @@ static inline uint32_t two_votes(const uint16_t *votes)
 }
 
 /* Stars with the most votes of a spike, 0 where the vote says nothing: no star has two votes, or more than
- * ST_MOST_IDENTITIES tie. */
+ * ST_MOST_IDENTITIES tie. Votes are compared where they are in a word, in its upper half. */
 static int32_t first_identities(const uint16_t *votes, int32_t stars, int32_t *identity)
 {
-    uint32_t most = 2;
+    const uint16_t *end = votes + ST_VOTES_OF_A_SPIKE(stars);
+    uint32_t most = 2 << 16;
     int32_t found = 0;
-    for (int32_t star = 0; star < stars; star += 2) {
-        uint32_t word = two_votes(votes + star);
-        if ((word & 0xffff) < most && word >> 16 < most)
+    for (const uint16_t *two = votes; two < end; two += 2) {
+        uint32_t word = two_votes(two);
+        if (word < most && word << 16 < most)
             continue;
         for (int32_t half = 0; half < 2; half++) {
-            uint32_t number = votes[star + half];
+            uint32_t number = (uint32_t)two[half] << 16;
             if (number < most)
                 continue;
             if (number > most) {
@@ -112,7 +113,7 @@ static int32_t first_identities(const uint16_t *votes, int32_t stars, int32_t *i
                 found = 0;
             }
             if (found < ST_MOST_IDENTITIES)
-                identity[found] = star + half;
+                identity[found] = two - votes + half;
             found++;
         }
     }
@@ -122,16 +123,19 @@ static int32_t first_identities(const uint16_t *votes, int32_t stars, int32_t *i
 /* The same with runners-up: all with so few votes, but two, that at most most_identities have as many. */
 static int32_t runners_up(const uint16_t *votes, int32_t stars, int32_t most_identities, int32_t *identity)
 {
-    uint32_t most = 0;
+    const uint16_t *end = votes + ST_VOTES_OF_A_SPIKE(stars);
+    uint32_t most = 1;
     int32_t found = 0;
-    for (int32_t star = 0; star < stars; star += 2) {
-        uint32_t word = two_votes(votes + star);
-        number_with[word & 0xffff]++;
-        number_with[word >> 16]++;
-        if ((word & 0xffff) > most)
-            most = word & 0xffff;
-        if (word >> 16 > most)
-            most = word >> 16;
+    for (const uint16_t *two = votes; two < end; two += 2) {
+        uint32_t word = two_votes(two);
+        if (word < 2 << 16 && word << 16 < 2 << 16)
+            continue; /* as most words of a large sky are */
+        for (int32_t half = 0; half < 2; half++) {
+            uint32_t number = two[half];
+            number_with[number]++;
+            if (number > most)
+                most = number;
+        }
     }
     uint32_t fewest = most + 1;
     while (fewest > 2 && found + number_with[fewest - 1] <= most_identities) {
@@ -140,12 +144,14 @@ static int32_t runners_up(const uint16_t *votes, int32_t stars, int32_t most_ide
     }
     memset(number_with, 0, (size_t)(most + 1) * sizeof *number_with);
     found = 0;
-    for (int32_t star = 0; star < stars; star += 2) {
-        uint32_t word = two_votes(votes + star);
-        if ((word & 0xffff) >= fewest)
-            identity[found++] = star;
-        if (word >> 16 >= fewest)
-            identity[found++] = star + 1;
+    for (const uint16_t *two = votes; two < end; two += 2) {
+        uint32_t word = two_votes(two);
+        if (word < fewest << 16 && word << 16 < fewest << 16)
+            continue;
+        if (two[0] >= fewest)
+            identity[found++] = two - votes;
+        if (two[1] >= fewest)
+            identity[found++] = two - votes + 1;
     }
     return found;
 }

@@ -1,11 +1,11 @@
 /* Identification by improved multi-poles: firmware_model/identification/multi_poles.py, after Schiattarella,
  * Spiller & Curti 2020, section 5, equations (34) to (45).
  *
- * Directions and cosines are software double precision in the Python stage's order of operations, so that the
- * same pairs pass the same tests. The test of magnitudes (38) is of each pair that fits an angle, so it is done
- * in integers: from each spike's magnitude comes, once, the range of single precision values that pass it in
- * double precision, and their words order as they do. What a star has as the pole is one record, as is an
- * entry, so that each costs one cache line. */
+ * Directions and cosines are software double precision in the Python stage's order of operations, so that
+ * the same pairs pass the same tests. That of magnitudes (38) is of each pair that fits an angle, so it is
+ * done in integers: from each spike's magnitude comes, once, the range of single precision values that pass
+ * it in double precision, and their words order as they do. What a star has as the pole is one record, as is
+ * an entry, so that each costs one cache line. */
 #include "multi_poles.h"
 
 #include <math.h>
@@ -17,6 +17,8 @@
 #include "verification.h"
 
 #define FEWEST 3 /* two neighbours beside the pole: of two spikes both would get one vote */
+#define LAST_KEY 0x7f800000 /* of infinity */
+#define FIRST_KEY (~LAST_KEY)
 #define MOST_NUMBERS 0x40000000 /* neighbours are numbered on and on; here the numbers start again */
 
 enum { NO_ROOM = -1, END_REACHED, SOLVED, AMBIGUOUS };
@@ -75,22 +77,40 @@ static inline int32_t key_of(float value)
     return word ^ (word >> 31 & 0x7fffffff);
 }
 
-/* The range of single precision magnitudes m with |m - magnitude| < tolerance in double precision, as keys.
- * The difference is rounded but never falls as m grows, so its bounds are found by single steps. */
-static void magnitude_range(double magnitude, double tolerance, int32_t *brightest, int32_t *dimmest)
+static int32_t passes(int32_t key, double magnitude, double tolerance)
 {
-    float low = (float)(magnitude - tolerance);
-    float high = (float)(magnitude + tolerance);
-    while (!((double)low - magnitude > -tolerance))
-        low = nextafterf(low, INFINITY);
-    while ((double)nextafterf(low, -INFINITY) - magnitude > -tolerance)
-        low = nextafterf(low, -INFINITY);
-    while (!((double)high - magnitude < tolerance))
-        high = nextafterf(high, -INFINITY);
-    while ((double)nextafterf(high, INFINITY) - magnitude < tolerance)
-        high = nextafterf(high, INFINITY);
-    *brightest = key_of(low == 0.0f ? -0.0f : low);
-    *dimmest = key_of(high == 0.0f ? 0.0f : high);
+    int32_t word = key ^ (key >> 31 & 0x7fffffff);
+    float value;
+    memcpy(&value, &word, sizeof value);
+    return (double)value - magnitude < tolerance;
+}
+
+/* The largest key that passes. The difference is rounded but never falls as the key grows; from the key that
+ * it should be, steps double until they have gone too far. */
+static int32_t last_key(double magnitude, double tolerance)
+{
+    int32_t key = key_of((float)(magnitude + tolerance));
+    int32_t up = passes(key, magnitude, tolerance);
+    uint32_t room = up ? (uint32_t)LAST_KEY - (uint32_t)key : (uint32_t)key - (uint32_t)FIRST_KEY;
+    uint32_t step = 1;
+    int32_t doubling = 1;
+    while (step > 0) {
+        int32_t next = (int32_t)(up ? (uint32_t)key + step : (uint32_t)key - step);
+        if (step <= room && passes(next, magnitude, tolerance) == up) {
+            key = next;
+            room -= step;
+        } else {
+            doubling = 0;
+        }
+        step = doubling ? step * 2 : step / 2;
+    }
+    return up ? key : key - 1;
+}
+
+void st_magnitude_keys(double magnitude, double tolerance, int32_t *brightest, int32_t *dimmest)
+{
+    *dimmest = last_key(magnitude, tolerance);
+    *brightest = ~last_key(-magnitude, tolerance); /* a value's key is the inverse of its negative's */
 }
 
 /* Ranges of the pair list that fit the angles from the pole to all others, (36)-(37); pairs in all. */
@@ -338,8 +358,8 @@ int32_t st_identify_multi_poles(const st_spikes *spikes, const st_star_table *st
         s.least_recognised = FEWEST;
     sort_spikes(&usable);
     for (int32_t spike = 0; spike < count; spike++)
-        magnitude_range(sorted_mag[spike], parameters->magnitude_tolerance, &brightest_of[spike],
-                        &dimmest_of[spike]);
+        st_magnitude_keys(sorted_mag[spike], parameters->magnitude_tolerance, &brightest_of[spike],
+                          &dimmest_of[spike]);
     s.spread_rad = st_spread(sorted_b, count);
     if (marks->base > MOST_NUMBERS) {
         memset(marks->mark, 0, (size_t)stars->stars * sizeof *marks->mark);

@@ -35,6 +35,11 @@ typedef struct {
     int32_t least_recognised;
 } st_poles_parameters;
 
+/* The single precision magnitudes m with |m - magnitude| < tolerance in double precision: all whose key is in
+ * brightest..dimmest, none where the former is the larger. Keys are words that order as the magnitudes do:
+ * their bits, all but the sign turned where it is set. */
+void st_magnitude_keys(double magnitude, double tolerance, int32_t *brightest, int32_t *dimmest);
+
 /* multi_poles.identify without limits of work. star_index[spikes->count] is written, -1 where there is no
  * star. 0: the ranges of a pole had no room in `marks`, nothing is found; else 1. */
 int32_t st_identify_multi_poles(const st_spikes *spikes, const st_star_table *stars,

@@ -61,6 +61,7 @@ MOST_SPOTS = 128  # ASSUMED: the work grows with its square
 # of all identities.
 MOST_IDENTITIES = 32
 MOST_IDENTITIES_IN_ALL = 768
+_VOTES_OF_A_LINE = 16  # of a cache, as halfwords
 
 _SOLVED, _UNCONFIRMED, _NO_MATCH, _AMBIGUOUS, _WORK_LIMIT = range(5)
 _REASONS = (Reason.NONE, Reason.UNCONFIRMED, Reason.NO_MATCH, Reason.AMBIGUOUS, Reason.WORK_LIMIT)
@@ -148,8 +149,11 @@ def cast_votes_kernel(
             counts[KVECTOR_HITS] += end - first
             counts[VOTES] += 4 * (end - first)
             counts[VOTES_CAST] += 4 * (end - first)
-            # of two spots, half a word for each star
-            counts[MARKS_SCATTERED] += scattered_kernel(4 * (end - first), votes.shape[1])
+            # Two spots have half a word each for a star; spot i is another one each time, so that the first
+            # vote of a line is cold.
+            stars = votes.shape[1]
+            cold = min(2 * (end - first), stars // _VOTES_OF_A_LINE)
+            counts[MARKS_SCATTERED] += cold + scattered_kernel(4 * (end - first) - cold, stars)
     return True
 
 

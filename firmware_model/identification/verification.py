@@ -84,7 +84,7 @@ def work_of(counts: CountArray) -> Work:
 @numba.njit(cache=True, nogil=True)
 def scattered_kernel(marks: int, words: int) -> int:
     """How many of so many marks, written or read anywhere in a table of so many words, are not at hand."""
-    return marks - marks * min(words, MARKS_AT_HAND) // words
+    return marks - marks * min(words, MARKS_AT_HAND) // max(words, 1)
 
 
 @numba.njit(cache=True, nogil=True)

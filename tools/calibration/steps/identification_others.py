@@ -7,7 +7,11 @@ from __future__ import annotations
 
 from st_emulator.firmware_model.catalogue.tables import StarTables
 from st_emulator.firmware_model.identification import brightness_referenced, geometric_voting, multi_poles
-from st_emulator.firmware_model.identification.interface import Identification, IdentificationParameters, Spikes
+from st_emulator.firmware_model.identification.interface import (
+    Identification,
+    IdentificationParameters,
+    Spikes,
+)
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps.identification import (
     KERNELS,
