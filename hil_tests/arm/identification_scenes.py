@@ -132,6 +132,36 @@ def doubled(name: str, seed: int) -> Scene:
     )
 
 
+def of_odd_brightness(name: str, seed: int) -> Scene:
+    """Five stars, of which none, one or two are far too dim: one may be."""
+    scene = seen(name, seed, stars=5, noise_px=0.02)
+    magnitudes = scene.spikes.magnitudes.copy()
+    magnitudes[-1 - seed % 3 :][1:] += 3.0
+    return replace(scene, spikes=Spikes(scene.spikes.b_vectors, magnitudes))
+
+
+def in_line(name: str, seed: int) -> Scene:
+    """Three stars in line, whose triangle the noise has turned over."""
+    rng = np.random.default_rng(seed)
+    world = sky(name)
+    while True:
+        view = world.view(random_attitude(rng))
+        b = vectors_of(world.camera, view.x_px, view.y_px)[:40]
+        crossed = np.cross(b[:, np.newaxis], b)
+        volumes = np.abs(np.einsum("ai,bci->abc", b, crossed))
+        apart = np.linalg.norm(b[:, np.newaxis] - b, axis=2) < 0.02
+        volumes[apart[:, :, np.newaxis] | apart[:, np.newaxis, :] | apart[np.newaxis]] = np.inf
+        three = np.sort(np.unravel_index(volumes.argmin(), volumes.shape))
+        true = b[three]
+        for _ in range(100):
+            moved = true + rng.normal(0, 0.2 * PARAMETERS[name].tolerance_rad, (3, 3))
+            moved /= np.linalg.norm(moved, axis=1, keepdims=True)
+            if np.linalg.det(moved) * np.linalg.det(true) < 0.0:
+                spikes = Spikes(np.ascontiguousarray(moved), view.magnitude[three])
+                scene = Scene(name, spikes, view.row[three], PARAMETERS[name])
+                return with_parameters(scene, field_normals=None, most_false_triangles=1.0)
+
+
 def two_skies(name: str, seed: int) -> Scene:
     """Four stars of one sky and four of another: either attitude has as many."""
     one, other = (seen(name, 2 * seed + half, stars=4) for half in range(2))
@@ -158,6 +188,8 @@ SCENES: dict[str, Callable[[str, int], Scene]] = {
         seen(name, seed, stars=3), tolerance_rad=6 * PARAMETERS[name].tolerance_rad, most_false_triangles=1e3
     ),
     "two skies": two_skies,
+    "in line": in_line,
+    "odd brightness": of_odd_brightness,
     "four": lambda name, seed: seen(name, seed, stars=4),
     "doubled": doubled,
     "unusable": lambda name, seed: with_unusable(seen(name, seed, stars=14), seed),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import struct
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -14,6 +16,7 @@ from hil_tests.arm.identification_scenes import PARAMETERS, seen, sky
 from hil_tests.firmware_model.synthetic_sky import ARCSEC, matrix, random_attitude, random_directions
 from st_emulator.firmware_model.catalogue.kvector import build_kvector, range_kernel
 from st_emulator.firmware_model.catalogue.pairs import PairCatalogue
+from st_emulator.firmware_model.catalogue.tables import star_arrays
 from st_emulator.firmware_model.identification import solutions, verification
 from st_emulator.firmware_model.identification.interface import Spikes
 from tools.arm_timing.machine import ArmMachine
@@ -21,6 +24,7 @@ from tools.calibration.steps import identification as binding
 from tools.calibration.steps.identification import place_packed
 
 Array = NDArray[np.float64]
+EMPTY = (0.0, 0.0, 0.0, 0.0, math.inf, 0, 0, 0, 0, 0)  # an st_solution
 
 
 def pairs_of(cosines: Array) -> PairCatalogue:
@@ -114,9 +118,15 @@ def test_the_handedness_is_bit_for_bit(machine: ArmMachine) -> None:
 
 @pytest.mark.parametrize("name", ["narrow", "wide"])
 @pytest.mark.parametrize("searched", [1.0, 2.0])
-def test_matches_are_those_of_the_python_stage(machine: ArmMachine, name: str, searched: float) -> None:
-    """With stars thought known (a tenth wrongly) and what an earlier search left of them."""
-    tables, tolerance = sky(name).tables, PARAMETERS[name].tolerance_rad
+@pytest.mark.parametrize("widened", [1, 100])
+def test_matches_are_those_of_the_python_stage(
+    machine: ArmMachine, name: str, searched: float, widened: int
+) -> None:
+    """With stars thought known (a tenth wrongly) and what an earlier search left of them.
+
+    A hundred times the tolerance reaches two stars or more about many a spike.
+    """
+    tables, tolerance = sky(name).tables, widened * PARAMETERS[name].tolerance_rad
     catalogue = tables.catalogue
     separation = verification.separation_kernel(tables.pairs.cos_angle)
     rng = np.random.default_rng(6)
@@ -249,7 +259,57 @@ def test_odd_brightness_counts_what_is_far_from_the_median(machine: ArmMachine) 
             machine.release()
 
 
-def test_three_solutions_of_one_image(machine: ArmMachine) -> None:
+@pytest.mark.parametrize("certain", [1e-30, 1e-9])
+def test_trials_are_judged_as_in_python(machine: ArmMachine, certain: float) -> None:
+    """Trials of one image one after the other: what is kept of them, and how the search would go on."""
+    tables = sky("wide").tables
+    rng = np.random.default_rng(11)
+    outcomes = set()
+    for seed in range(8):
+        scene = seen("wide", seed, stars=7, false=2, noise_px=0.35)
+        spots = len(scene.spikes)
+        parameters = replace(
+            scene.parameters, certain_false_solutions=certain, most_false_solutions=1.0, field_normals=None
+        )
+        spread = verification.spread_kernel(scene.spikes.b_vectors, spots)
+        kept = solutions.no_solutions(spots)
+        spikes, stars = (
+            binding.place_spikes(machine, scene.spikes),
+            binding.place_star_table(machine, tables.catalogue),
+        )
+        limits = binding.place_limits(machine, parameters, tables.pairs)
+        rows = [machine.reserve(4 * spots) for _ in range(2)]
+        placed = place_packed(machine, "5d4iI4x5d4iI4x", *(2 * [*EMPTY]))
+        for place, row in enumerate(rows):
+            machine.write(placed + 64 * place + 56, np.array([row], np.uint32))
+        machine.call("st_no_solutions", placed, spots)
+        for _ in range(12):
+            trial = np.full(spots, -1, np.int32)
+            chosen = rng.choice(np.flatnonzero(scene.true_rows >= 0), 3, replace=False)
+            trial[chosen] = scene.true_rows[chosen]
+            address = machine.place(trial)
+            judged = solutions.judge_kernel(
+                scene.spikes.b_vectors, scene.spikes.magnitudes, spread, star_arrays(tables.catalogue),
+                solutions.limits_of(parameters, tables.pairs), trial, np.empty(4), kept,
+                verification.first_counts(spots),
+            )  # fmt: skip
+            call = machine.call("st_judge", spikes, float(spread), stars, limits, address, placed)
+            assert call.result == judged
+            outcomes.add(int(judged))
+            np.testing.assert_array_equal(machine.read(address, np.int32, spots), trial)
+            for place in range(2):
+                solution = machine.read(placed + 64 * place, np.uint8, 64).tobytes()
+                *q, chance, matched, expected, found, rivals, _ = struct.unpack("<5d4iI4x", solution)
+                np.testing.assert_allclose(q, kept[1][place], atol=1e-11)
+                assert (matched, expected, found, rivals) == tuple(kept[2][place])
+                assert chance == pytest.approx(kept[3][place], rel=1e-9)
+                stars_kept = machine.read(rows[place], np.int32, spots)
+                np.testing.assert_array_equal(stars_kept, kept[0][place])
+        machine.release()
+    assert solutions.NOTHING in outcomes
+
+
+def test_a_rival(machine: ArmMachine) -> None:
     """A rival is another star for a spike, or a turn over the limit; less than that is the same solution."""
     q = np.array([0.0, 0.0, 0.0, 1.0])
     index = np.array([5, -1, 7, 9], np.int32)

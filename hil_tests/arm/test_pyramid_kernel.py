@@ -11,8 +11,11 @@ import pytest
 from scipy.optimize import nnls
 
 from hil_tests.arm.identification_scenes import SCENES, Scene, seen, sky, with_parameters
+from st_emulator.firmware_model.catalogue.pairs import build_pair_catalogue
+from st_emulator.firmware_model.catalogue.star_catalogue import build_star_catalogue
+from st_emulator.firmware_model.catalogue.tables import StarTables
 from st_emulator.firmware_model.identification import pyramid
-from st_emulator.firmware_model.identification.interface import Identification
+from st_emulator.firmware_model.identification.interface import Identification, Spikes
 from st_emulator.firmware_model.reasons import Reason
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import identification as binding
@@ -66,6 +69,30 @@ def test_the_stars_are_the_true_ones(machine: ArmMachine, name: str) -> None:
             assert found.verified == (found.star_index >= 0).sum()
             right += true.sum() >= 4
     assert right >= 18
+
+
+@pytest.mark.parametrize("spikes", [3, 4, 5])
+@pytest.mark.parametrize("step", [1, -1])
+def test_a_catalogue_of_few_stars(machine: ArmMachine, spikes: int, step: int) -> None:
+    """Every range has a pair or none: the first and last entries of the tables count.
+
+    Also with the dimmest spike first, which makes the joined stars the brighter ones of their pairs.
+    """
+    for seed in range(8):
+        scene = with_parameters(
+            seen("wide", seed, stars=spikes), field_normals=None, most_false_triangles=1e9
+        )
+        kept, rows = np.sort(scene.true_rows), scene.true_rows[::step]
+        spikes_given = Spikes(scene.spikes.b_vectors[::step], scene.spikes.magnitudes[::step])
+        whole = sky("wide").catalogue
+        catalogue = build_star_catalogue(
+            whole.hip[kept], whole.unit_vectors[kept], whole.hp_mag[kept], whole.limit_mag, 0.0
+        )
+        tables = StarTables(catalogue, build_pair_catalogue(catalogue, sky("wide").pairs.max_angle_rad))
+        expected, _ = pyramid.identify(spikes_given, tables, scene.parameters)
+        binding.compare(pyramid_kernel(machine, spikes_given, tables, scene.parameters).found, expected)
+        np.testing.assert_array_equal(kept[expected.star_index], rows)
+        machine.release()
 
 
 def marks_at(machine: ArmMachine, scene: Scene, base: int) -> tuple[Identification, int]:
