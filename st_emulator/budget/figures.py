@@ -80,7 +80,10 @@ class Costing:
 
     def ms(self, cycles: Figure) -> Figure:
         """Time of cycles, ms."""
-        return cycles.scaled(1e3 / self.processor.clock_hz)
+        low, value, high = (
+            cycle * 1e3 / self.processor.clock_hz for cycle in (cycles.low, cycles.value, cycles.high)
+        )
+        return Figure(value, low, high)
 
 
 def _ordered(value: float, low: float, high: float) -> Figure:

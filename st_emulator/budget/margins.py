@@ -84,7 +84,7 @@ def margin_of(subject: Subject, costing: Costing, costs: Sequence[Cost], pipelin
     budget_ns = subject.budget_ns(pipelined)
 
     def counted(which: str) -> tuple[int, int]:
-        spans = [getattr(time, which) * NS_PER_MS for time in times]
+        spans = [costing.processor.duration_ns(int(getattr(cost.frame, which))) for cost in costs]
         late = sum(span > budget_ns for span in spans)
         return late, sum(subject.frames_dropped(span, pipelined) for span in spans if span > budget_ns)
 

@@ -20,6 +20,10 @@ MAGNITUDES = (0.0, 8.0)  # of false stars, the brightest and the faintest that t
 HOT_PIXEL_FACTORS = (3.0, 10.0)  # times the unit's share, which grows with the dose
 LEAST_HOT_PIXEL_FRACTION = 1e-5
 NOISES = 1_000_000
+GENES = (
+    *("attitude", "attitude", "roll", "rate", "false stars", "false stars"),
+    *("magnitudes", "noise", "stray light", "hot pixels"),
+)
 FRESH = 0.1  # share of the changes of an attitude or a time that are not small
 
 
@@ -111,31 +115,33 @@ def _other_instant(rng: np.random.Generator, place: Instant, domain: Domain) -> 
 
 
 def _changes(rng: np.random.Generator, place: Conditions, domain: Domain) -> dict[str, Any]:
-    gene = rng.integers(8)
-    if gene == 0:
-        return {"attitude": _turned(rng, place.attitude)}
-    if gene == 1:
-        about_boresight = quaternion.from_rotation_vector(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
-        return {"attitude": _tuple(quaternion.multiply(about_boresight, np.array(place.attitude)))}
-    if gene == 2:
-        axis = rng.normal(size=3)
-        size = domain.most_rate_deg_s * rng.choice([0.0, rng.random(), 1.0])
-        return {"rate_deg_s": _tuple(axis / np.linalg.norm(axis) * size)}
-    if gene == 3:
-        number = place.false_stars * math.exp(0.5 * rng.normal()) + 10.0 * rng.normal()
-        return {"false_stars": int(np.clip(round(number), 0, domain.most_false_stars))}
-    if gene == 4:
-        first, second = sorted(rng.uniform(*MAGNITUDES, size=2).tolist())
-        return {"false_star_magnitudes": (first, second)}
-    if gene == 5:
-        return {"noise": int(rng.integers(NOISES))}
-    if gene == 6:
-        low, high = domain.stray_electrons_s
-        return {"stray_electrons_s": None if rng.random() < 0.3 else float(rng.uniform(low, high))}
-    if domain.most_frames_lost and rng.random() < 0.5:
-        return {"frames_lost": int(rng.integers(domain.most_frames_lost + 1))}
-    choices = (None, *domain.hot_pixel_fractions)
-    return {"hot_pixel_fraction": choices[int(rng.integers(len(choices)))]}
+    genes = GENES + (("frames lost",) * 2 if domain.most_frames_lost else ())
+    match genes[int(rng.integers(len(genes)))]:
+        case "attitude":
+            return {"attitude": _turned(rng, place.attitude)}
+        case "roll":
+            roll = quaternion.from_rotation_vector(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
+            return {"attitude": _tuple(quaternion.multiply(roll, np.array(place.attitude)))}
+        case "rate":
+            axis = rng.normal(size=3)
+            size = domain.most_rate_deg_s * rng.choice([0.0, rng.random(), 1.0])
+            return {"rate_deg_s": _tuple(axis / np.linalg.norm(axis) * size)}
+        case "false stars":
+            number = place.false_stars * math.exp(0.5 * rng.normal()) + 10.0 * rng.normal()
+            return {"false_stars": int(np.clip(round(number), 0, domain.most_false_stars))}
+        case "magnitudes":
+            first, second = sorted(rng.uniform(*MAGNITUDES, size=2).tolist())
+            return {"false_star_magnitudes": (first, second)}
+        case "noise":
+            return {"noise": int(rng.integers(NOISES))}
+        case "stray light":
+            low, high = domain.stray_electrons_s
+            return {"stray_electrons_s": None if rng.random() < 0.3 else float(rng.uniform(low, high))}
+        case "frames lost":
+            return {"frames_lost": int(rng.integers(domain.most_frames_lost + 1))}
+        case _:
+            choices = (None, *domain.hot_pixel_fractions)
+            return {"hot_pixel_fraction": choices[int(rng.integers(len(choices)))]}
 
 
 def _turned(rng: np.random.Generator, attitude: tuple[float, ...]) -> tuple[float, ...]:
@@ -150,4 +156,4 @@ def _turned(rng: np.random.Generator, attitude: tuple[float, ...]) -> tuple[floa
 
 
 def _tuple(values: Any) -> tuple[float, ...]:
-    return tuple(float(item) for item in values)
+    return tuple(float(item) + 0.0 for item in values)  # no zero with a sign

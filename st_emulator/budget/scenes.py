@@ -39,6 +39,7 @@ __all__ = [
 ]
 
 SPECIMEN = 1  # seed of the detector's fixed pattern: one unit throughout
+NOISE_STRIDE = 1024  # indices of frames, which the noise follows from, that a number of the noise has
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ def frames_under(
         profile,
         renderer,
         0,
-        conditions.noise * (tracked + 1),
+        conditions.noise * NOISE_STRIDE,
         conditions.frames_lost,
         tracked,
         _configuration(profile, parameters),
@@ -176,8 +177,8 @@ def scenario_frames(
 ) -> Iterator[FrameInputs]:
     """The same of a scenario's sky and trajectory, from the frame that begins at ``start_ns`` on.
 
-    number: of the noise, so that frames at one time differ; three times it is the index of the frame lost in
-    space (with two tracked), whose noise is then that of the unit's own frame of that index. Raises ConfigurationError: see `scene_of`.
+    number: of the noise, so that frames at one time differ; with 0 the pixels are those of the unit's own
+    frames at that time. Raises ConfigurationError: see `scene_of`.
     """
     start = tai_ns_from_utc(scenario.start_utc)
     renderer = _scenario_renderer(profile.model_dump_json(), scenario.model_dump_json(by_alias=True), start)
@@ -185,7 +186,7 @@ def scenario_frames(
         profile,
         renderer,
         start_ns,
-        number * (tracked + 1),
+        start_ns // profile.frame_period_ns + number * NOISE_STRIDE * NOISE_STRIDE,
         frames_lost,
         tracked,
         _configuration(profile, parameters),
@@ -197,7 +198,7 @@ def _chain(
     profile: UnitProfile,
     renderer: SceneRenderer,
     start_ns: int,
-    noise: int,
+    index: int,
     frames_lost: int,
     tracked: int,
     configuration: FirmwareConfiguration,
@@ -211,7 +212,8 @@ def _chain(
     for number in range(tracked + 1):
         if before is not None:
             start_ns += (frames_lost + 1) * period_ns
-        frame = renderer.frame(noise + number, start_ns, configuration.exposure_ns)
+            index += frames_lost + 1
+        frame = renderer.frame(index, start_ns, configuration.exposure_ns)
         context = FrameContext(
             frame_index=number,
             acquisition=Mode.LOST_IN_SPACE if before is None else Mode.TRACKING,

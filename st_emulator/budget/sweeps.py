@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -185,7 +186,13 @@ def scenario_point(subject: Subject, n: int, scenario: Scenario, sweep: str, val
 def scenario_instants(subject: Subject, n: int, scenario: Scenario) -> list[Instant]:
     """Starts on the frame grid, evenly over the scenario; more than it has frames differ by their noise."""
     frames = scenario_frame_count(subject, scenario)
-    return [Instant(number * frames // n * subject.period_ns, number) for number in range(n)]
+    found = []
+    seen: Counter[int] = Counter()
+    for number in range(n):
+        frame = number * frames // n
+        found.append(Instant(frame * subject.period_ns, seen[frame]))
+        seen[frame] += 1
+    return found
 
 
 def scenario_frame_count(subject: Subject, scenario: Scenario) -> int:
