@@ -360,35 +360,55 @@ def test_another_plan_is_refused(machine: ArmMachine, field: str, change: float)
         PLAN.run(machine, replace(record, result=spoiled))
 
 
-def test_a_star_at_the_tolerance_is_judged_by_its_angle(machine: ArmMachine) -> None:
-    """One star moved to just inside and just outside of the tolerance, by an angle that arctan2 measures."""
-    q = random_attitude(np.random.default_rng(2))
-    plan = plan_record(SKY, q).result
-    reference = plan.reference @ matrix(q).T
-    parameters = replace(PARAMETERS, min_stars=2)
+def angle(u: Array, v: Array) -> float:
+    return math.atan2(float(np.linalg.norm(np.cross(u, v))), float(u @ v))
 
-    def angle(u: Array, v: Array) -> float:
-        return math.atan2(float(np.linalg.norm(np.cross(u, v))), float(u @ v))
 
-    for star, side in itertools.product(range(1, 6), (-1.0, 1.0)):
-        apart = angle(reference[0], reference[star])
-        across = np.cross(np.cross(reference[0], reference[star]), reference[0])
-        across /= np.linalg.norm(across)
-        for share, verified in ((1.0 - 1e-6, True), (1.0 + 1e-6, False)):
-            b = reference.copy()
-            moved = apart + side * share * parameters.tolerance_rad
-            b[star] = math.cos(moved) * b[0] + math.sin(moved) * across
-            assert angle(b[0], b[star]) == pytest.approx(moved, abs=1e-12)
-            order = np.argsort(plan.window, kind="stable")
-            spots = Spots.at(plan.x_px, plan.y_px, np.arange(len(plan.star), dtype=float)).take(order)
-            spots = replace(spots, magnitude=SKY.catalogue.hp_mag[plan.star][order].astype(np.float64))
-            number = len(plan.rects)
-            levels = np.zeros(number)
-            found = WindowSpots(spots, plan.window[order], np.ones(number, np.uint8), levels, levels)
-            result, _ = binding.run_verification(machine, plan, found, b[order], SKY.catalogue, parameters)
-            machine.release()
-            assert result.pivot == 0
-            assert (order[result.spot[star]] == star and result.spot[star] >= 0) == verified
+def judged(machine: ArmMachine, plan: TrackingPlan, b: Array, star: int, tolerance_rad: float) -> bool:
+    """Whether a star with its spot in direction b[star] is verified, the brightest one being the pivot."""
+    order = np.argsort(plan.window, kind="stable")
+    spots = Spots.at(plan.x_px, plan.y_px, np.arange(len(plan.star), dtype=float)).take(order)
+    spots = replace(spots, magnitude=SKY.catalogue.hp_mag[plan.star][order].astype(np.float64))
+    levels = np.zeros(len(plan.rects))
+    found = WindowSpots(spots, plan.window[order], np.ones(len(levels), np.uint8), levels, levels)
+    parameters = replace(PARAMETERS, min_stars=2, tolerance_rad=tolerance_rad)
+    result, _ = binding.run_verification(machine, plan, found, b[order], SKY.catalogue, parameters)
+    machine.release()
+    assert result.pivot == 0
+    return bool(result.spot[star] >= 0 and order[result.spot[star]] == star)
+
+
+@pytest.mark.parametrize("tolerance", [60 * ARCSEC, None])
+def test_a_star_at_the_tolerance_is_judged_by_its_angle(machine: ArmMachine, tolerance: float | None) -> None:
+    """One star moved to just inside and just outside of the tolerance, by an angle that arctan2 measures.
+
+    And with a tolerance over the angle itself: then no angle is too small.
+    """
+    near = 0
+    for seed in range(4):
+        q = random_attitude(np.random.default_rng(seed))
+        plan = plan_record(SKY, q).result
+        reference = plan.reference @ matrix(q).T
+        for star in range(1, len(plan.star)):
+            apart = angle(reference[0], reference[star])
+            across = np.cross(np.cross(reference[0], reference[star]), reference[0])
+            across /= np.linalg.norm(across)
+            if tolerance is not None:
+                wide = tolerance
+                cases = [(-1.0 + 1e-6, True), (1.0 - 1e-6, True), (-1.0 - 1e-6, False), (1.0 + 1e-6, False)]
+            else:
+                wide = 0.099
+                cases = [(1.0 - 1e-6, True), (1.0 + 1e-6, False)]
+                if apart < wide:
+                    cases.append((-0.95 * apart / wide, True))
+                    near += 1
+            for share, verified in cases:
+                moved = apart + share * wide
+                b = reference.copy()
+                b[star] = math.cos(moved) * b[0] + math.sin(moved) * across
+                assert angle(b[0], b[star]) == pytest.approx(moved, abs=1e-12)
+                assert judged(machine, plan, b, star, wide) == verified
+    assert near >= 2 or tolerance is not None
 
 
 def test_tracking_costs_what_its_counts_say(machine: ArmMachine) -> None:
