@@ -22,7 +22,7 @@ from ..scenario_inputs import check_inputs, parameters_of
 from .assessment import Assessment, Order, assess
 from .figures import Costing
 from .modes import LOST_IN_SPACE
-from .samples import Look, SkySample, look
+from .samples import TRACKED, Instant, Look, SkySample, look
 from .subject import Subject, subject_of
 from .worst_case import OBJECTIVES, place_from_json
 
@@ -169,13 +169,16 @@ def _rerun(subject: Subject, scenario: Scenario | None, path: Path, console: Con
         changed = tuple(sorted((str(name), value) for name, value in inputs["parameters"].items()))
         own = Subject(subject.profile, changed)
         place = place_from_json(json.dumps(inputs))
+        if isinstance(place, Instant) and scenario is None:
+            raise ConfigurationError(f"--rerun {path}: is of a scenario: give it with --scenario")
         sample = look(subject.profile, scenario, Look(place, own.changed))
         figure = Costing(own.processor).cost(_counts(sample, case)).frame
         kept = float(case["cycles"]["frame"]["value"])
         same = same and figure.value == kept
         word = "the same" if figure.value == kept else f"the report says {kept:.0f}"
         bounds = f"({figure.low:.0f}..{figure.high:.0f})"
-        console.print(escape(f"{case['mode']}, {case['search']}: {figure.value:.0f} {bounds} cycles: {word}"))
+        told = f"{case['mode']}, {case['search']}: {figure.value:.0f} {bounds} cycles: {word}"
+        console.print(escape(told), soft_wrap=True)
     return FITS if same else DOES_NOT_FIT
 
 
@@ -194,7 +197,8 @@ def _kept_cases(path: Path) -> list[dict[str, Any]]:
             place_from_json(json.dumps(case["inputs"]))
             float(case["cycles"]["frame"]["value"])
             dict(case["inputs"]["parameters"])
-            int(case["inputs"]["frame"])
+            if not 0 <= int(case["inputs"]["frame"]) <= TRACKED:
+                raise ValueError("no such frame")
             str(case["mode"]), str(case["search"])
     except OSError as error:
         raise ConfigurationError(f"--rerun {path}: cannot be read: {error.strerror}") from error
