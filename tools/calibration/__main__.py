@@ -76,9 +76,9 @@ class Session:
         held_out = self.simulated(build, HELD_OUT, "Held out frames")
         found = fit(fitted.samples)
         for warning in found.collinear:
-            self._console.print(f"[yellow]{warning}[/]")
+            self._console.print(str(warning), style="yellow", markup=False, soft_wrap=True)
         for name, item in ASSUMED.items():
-            self._console.print(f"assumed: {name}: {item.reason}")
+            self._console.print(f"assumed: {name}: {item.reason}", markup=False, soft_wrap=True)
         return document_of(build, found, fitted, held_out), held_out
 
     def check(self, document: dict[str, Any], require: bool) -> checking.Finding | None:

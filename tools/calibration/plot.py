@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
+from matplotlib.ticker import NullFormatter
 
 from st_emulator.campaigns.plotting import COLOURS, require_plot_path, write_plot
 from st_emulator.firmware_model.work import STAGES
@@ -36,8 +37,12 @@ def draw(samples: SampleSet, predict: Predict) -> Callable[[Any], None]:
             limit = STAGE_LIMIT if stage != "frame" else FRAME_LIMIT
             items = [item for item in (*stages, *frames) if item.stage == stage]
             _panel(place, "whole frame" if stage == "frame" else stage, items, limit)
-        handles, labels = axes[-1].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8)
+        named = {}
+        for place in axes:
+            named.update(
+                {label: handle for handle, label in zip(*place.get_legend_handles_labels(), strict=True)}
+            )
+        figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=len(named), fontsize=8)
 
     return into
 
@@ -47,7 +52,7 @@ def _panel(axes: Any, title: str, items: list[StageError], limit: float) -> None
     axes.set_xscale("log")
     axes.set_xlabel("simulated cycles", fontsize=8)
     axes.set_ylabel("predicted / simulated - 1, %", fontsize=8)
-    axes.axhspan(-100 * limit, 100 * limit, color="white", alpha=0.10, label=f"limit: +-{limit:.0%}")
+    axes.axhspan(-100 * limit, 100 * limit, color="white", alpha=0.10, label="limit")
     axes.axhline(0.0, color="white", linewidth=0.6)
     for kind in sorted({item.kind for item in items}):
         mark, colour = _MARKS.get(kind, ("^", COLOURS[2]))
@@ -59,10 +64,15 @@ def _panel(axes: Any, title: str, items: list[StageError], limit: float) -> None
             markersize=3,
             color=colour,
             alpha=0.8,
-            label=kind.replace("_", " "),
+            label=kind.replace("_", " ") if kind in _MARKS else "step by itself",
         )
+    if items:
+        least, most = (pick(item.simulated for item in items) for pick in (min, max))
+        middle, half = math.sqrt(least * most), max(math.sqrt(most / least), math.sqrt(10)) * 1.2
+        axes.set_xlim(middle / half, middle * half)  # a decade at least, so that it has labels
+    axes.xaxis.set_minor_formatter(NullFormatter())
     largest = max((abs(100 * item.error) for item in items), default=0.0)
-    reach = max(1.2 * limit * 100, 1.1 * float(np.nan_to_num(largest)))
+    reach = max(1.2 * limit * 100, 1.1 * largest)
     axes.set_ylim(-reach, reach)
     axes.tick_params(labelsize=7)
     axes.grid(alpha=0.3)
