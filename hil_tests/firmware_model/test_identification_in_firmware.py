@@ -55,7 +55,7 @@ CONFIGURATION = FirmwareConfiguration(
     TrackingParameters(math.radians(1.0), 80 * ARCSEC, star_radius_px=4.0),
     aberration_correction=False,
 )
-PROCESSOR = ProcessorProfile.load("arm926ej_s_provisional")
+PROCESSOR = ProcessorProfile.load("arm926ej_s")
 
 
 def frame_of(q: np.ndarray, render_stars, expose, seed: int = 1) -> ImageFrame:

@@ -21,7 +21,7 @@ from st_emulator.firmware_model.processor import (
 )
 from st_emulator.firmware_model.work import COUNTS, STAGES, Work
 
-OURS = "arm926ej_s_provisional"
+OURS = "arm926ej_s"
 
 
 def flat_profile(clock_hz: int = 1000, **special: float) -> ProcessorProfile:
@@ -218,5 +218,5 @@ def test_bad_profiles_are_refused_by_file_and_key(tmp_path: Path, text: str, exp
 def test_missing_profiles_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ProcessorProfileError, match=r"no-such\.json: cannot be read"):
         ProcessorProfile.load(tmp_path / "no-such.json")
-    with pytest.raises(ProcessorProfileError, match="'cray': not one of arm926ej_s_provisional"):
+    with pytest.raises(ProcessorProfileError, match="'cray': not one of arm926ej_s"):
         ProcessorProfile.load("cray")
