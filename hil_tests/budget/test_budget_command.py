@@ -69,6 +69,8 @@ def test_a_unit_that_fits(command):
                 figure = cycles[row][which]
                 assert figure["low"] <= figure["value"] <= figure["high"]
         assert cycles["threshold"]["p99"]["low"] < cycles["threshold"]["p99"]["high"]
+    assert found["lost_in_space"]["frames"] == 3
+    assert found["tracking"]["frames"] == 6
     assert set(found["sweeps"]) == {"false stars", "angular rate", "window size", "frames lost"}
     assert {item["name"] for item in found["checks"]} >= {"tracking", "memory"}
     assert all(item["holds"] for item in found["checks"])

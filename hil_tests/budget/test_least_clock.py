@@ -74,6 +74,8 @@ def test_the_clock_is_that_above_which_all_is_well():
     assert found == pytest.approx(9e7, rel=1e-4)
     assert least_clock_hz(lambda hz: False) is None
     assert least_clock_hz(lambda hz: True) == LOWEST_HZ
+    near_the_end = least_clock_hz(lambda hz: hz >= 1.003 * LOWEST_HZ)
+    assert near_the_end == pytest.approx(1.003 * LOWEST_HZ, rel=1e-4)
 
 
 def lost_with(before: int, search: int, after: int) -> Lost:

@@ -82,6 +82,15 @@ def test_margin_of_frames_some_of_which_are_late():
     assert margin_of(ROJA1, costing, costs[:2], True).fits_at_bound
 
 
+def test_a_frame_of_exactly_its_time_is_counted_as_on_time():
+    costing = Costing(hand_made(core=1000.0))
+    margin = margin_of(ROJA1, costing, [costing.cost(counts(runs=25_000))], True)
+    assert margin.late.late.value == 0
+    assert margin.fits
+    margin = margin_of(ROJA1, costing, [costing.cost(counts(runs=25_001))], True)
+    assert margin.late.late.value == margin.late.dropped.value == 1
+
+
 def test_where_no_time_is_left_nothing_fits():
     aps_rs = Subject(load_unit("aps_rs"))
     costing = Costing(hand_made())

@@ -52,12 +52,18 @@ def test_a_long_search_is_cut_by_the_budget_of_its_mode(roja1):
         assert np.array_equal(counts, counts_of(inputs.process().work + report))
 
 
-def test_before_the_search_and_the_search_are_parts_of_the_frame(roja1):
-    lost = look(roja1, None, Look(random_conditions(1, 4, false_stars=10)[0])).lost
-    rest = lost.whole_counts - lost.before_counts - lost.search_counts
-    assert np.all(rest >= 0)
-    assert lost.search_counts.sum() > 0
-    assert rest.sum() > 0
+def test_before_the_search_and_the_search_are_steps_of_the_frame(roja1):
+    place = random_conditions(1, 4, false_stars=10)[0]
+    lost = look(roja1, None, Look(place)).lost
+    records = []
+    next(frames_under(roja1, place)).without_limit().process(records.append)
+    names = [record.step for record in records]
+    at = names.index("identify")
+    assert names.index("detect") < at < names.index("attitude")
+    before = sum((counts_of(record.work) for record in records[:at]), counts_of(Work({"frames": 1})))
+    assert np.array_equal(lost.before_counts, before)
+    assert np.array_equal(lost.search_counts, counts_of(records[at].work))
+    assert np.all(lost.whole_counts >= lost.before_counts + lost.search_counts)
 
 
 SCENARIO = Scenario(

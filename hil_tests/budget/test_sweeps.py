@@ -77,6 +77,22 @@ def test_where_it_stops():
     assert tracked.stage == "threshold"
 
 
+def test_one_late_sky_in_fifty_stops_it():
+    most = [sky(2000, 2000, 100)] * 49
+    points = [point(0, *most), point(5, *most, sky(2000, 30_000, 100))]
+    assert points[1].lost.frames == 50
+    assert stop_of(points, "whole", LOST_IN_SPACE).stops_at == 5
+    assert stop_of(points, "flown", LOST_IN_SPACE).stops_at is None
+
+
+def test_every_tracked_frame_counts():
+    skies = [sky(2000, 2000, number) for number in (100, 200, 300)]
+    found = point(0, *skies).tracked
+    assert found.frames == 3
+    assert found.flown.rows["threshold"].worst.value == 300_000
+    assert found.flown.rows["threshold"].median.value == 200_000
+
+
 def test_what_never_fits():
     late = stop_of([point(0, sky(30_000, 30_000, 1))], "flown", LOST_IN_SPACE)
     assert (late.fits_to, late.stops_at, late.stage) == (None, 0, "identification")

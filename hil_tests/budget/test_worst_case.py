@@ -97,7 +97,7 @@ def test_mutations_stay_in_the_domain(seed, mode):
     rng = np.random.default_rng(seed)
     domain = domain_of(ROJA1, mode, None)
     low, high = domain.stray_electrons_s
-    place: Conditions | Instant = random_conditions(1, seed % 1000)[0]
+    place: Conditions | Instant = random_conditions(1, seed % 1000, false_stars=seed % 501)[0]
     for _ in range(20):
         place = mutated(rng, place, domain)
         assert isinstance(place, Conditions)

@@ -72,11 +72,11 @@ def least_clock_hz(on_time: Callable[[float], bool]) -> float | None:
     above = HIGHEST_HZ
     if not on_time(above):
         return None
-    while above > LOWEST_HZ and on_time(above / STEP):
-        above /= STEP
-    below = above / STEP
-    if below <= LOWEST_HZ:
-        return LOWEST_HZ
+    below = max(LOWEST_HZ, above / STEP)
+    while on_time(below):
+        if below == LOWEST_HZ:
+            return LOWEST_HZ
+        above, below = below, max(LOWEST_HZ, below / STEP)
     while above / below > 1.0 + TOLERANCE:
         middle = math.sqrt(above * below)
         if on_time(middle):

@@ -100,7 +100,8 @@ def random_conditions(
     first ones of a seed stay the same.
     """
     attitudes = random_pointings(n, seed)
-    axes = np.random.default_rng([seed, 0xA715]).normal(size=(n, 3))
+    generator = np.random.default_rng([seed, 0xA715])
+    axes = generator.normal(size=(n, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     return [
         Conditions(
