@@ -78,7 +78,7 @@ def test_units(command):
 
 
 TEACHES = {
-    (): ("run", "demo", "campaign", "solve", "replay", "units", "export", "obc", "prepare"),
+    (): ("run", "demo", "campaign", "solve", "replay", "units", "export", "obc", "prepare", "budget"),
     ("run",): (
         *("--link", "pty:PATH", "serial:DEV@BAUD", "--scenario", "--speed", "max", "--seed", "--frames"),
         *(
@@ -98,6 +98,10 @@ TEACHES = {
     ("campaign",): (
         *("earth-rate", "lost-in-space", "accuracy", "zy3-table3", "false-stars"),
         *("--n", "--workers", "--json", "--unit", "--dask", "--results", "--restart", "--plot"),
+    ),
+    ("budget",): (
+        *("--n", "--scenario", "--clock", "--cache", "--line-fill", "--json", "--html", "--plot"),
+        *("--results", "--restart"),
     ),
     ("solve",): ("PNG, TIFF or FITS", "--unit", "--json", "--picture"),
     ("replay",): ("--journal", "--write", "--json", "byte by byte"),

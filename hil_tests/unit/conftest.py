@@ -44,6 +44,7 @@ PARAMETER = {
             "tracking_rate_deg_s", "tracking_tolerance_arcsec", "tracking_min_stars", "tracking_max_missed",
             "blinded_background_dn", "aberration_correction", "velocity_x_km_s", "velocity_y_km_s",
             "velocity_z_km_s", "attitude_report", "autonomous_start", "pipelined", "clock_hz", "boot_count",
+            "cache_kib", "line_fill",
         ),
         start=1,
     )

@@ -47,6 +47,8 @@ def factory_values() -> dict[str, float]:
         "pipelined": int(unit["timing"]["pipelined"]),
         "clock_hz": unit["processor"]["clock_hz"],
         "boot_count": 1,
+        "cache_kib": unit["processor"]["cache_kib"],
+        "line_fill": ["low", "nominal", "high"].index(unit["processor"]["line_fill"]),
     }
 
 
@@ -57,13 +59,15 @@ CHANGED: dict[str, float] = {
     "tracking_min_stars": 4,
     "velocity_y_km_s": -7.5,
     "clock_hz": 200_000_000,
+    "cache_kib": 16,
+    "line_fill": 2,
 }
 TRUNCATED, BAD_CHECKSUM, STORE_OUT_OF_RANGE, OTHER_UNIT = 2, 3, 4, 5
 
 
 def all_parameters(bench: Bench) -> dict[str, float]:
     bench.forget()
-    bench.send("parameter_report", {"parameter_ids": list(range(1, 22))}, ack=0)
+    bench.send("parameter_report", {"parameter_ids": list(range(1, 24))}, ack=0)
     bench.run(40)
     (report,) = bench.of("parameter_values")
     names = {number: name for name, number in PARAMETER.items()}
@@ -86,7 +90,7 @@ def test_factory_values_are_those_of_the_unit_file(bench: Bench) -> None:
 
 def test_set_and_read_in_the_order_asked(bench: Bench) -> None:
     bench.set_parameters(**CHANGED)
-    assert bench.events("PARAMETERS_STORED") == [{"count": 5}]
+    assert bench.events("PARAMETERS_STORED") == [{"count": len(CHANGED)}]
     assert_is(all_parameters(bench), FACTORY | CHANGED)
     bench.forget()
     bench.send("parameter_report", {"parameter_ids": [20, 1, 20]}, ack=0)
@@ -109,6 +113,16 @@ def test_limits_themselves_are_allowed(bench: Bench) -> None:
             )
             bench.run(30)
             assert bench.failure(count) == ("acceptance_failure", 8, PARAMETER[name])
+
+
+def test_only_caches_with_known_costs_are_taken(bench: Bench) -> None:
+    for value in (32, 16, 8, 4, 0):
+        bench.set_parameters(cache_kib=value)
+        assert bench.parameter("cache_kib") == value
+    count = bench.send("parameter_set", {"settings": [{"parameter_id": PARAMETER["cache_kib"], "value": 5}]})
+    bench.run(30)
+    assert bench.failure(count) == ("acceptance_failure", 8, PARAMETER["cache_kib"])
+    assert bench.parameter("cache_kib") == 0
 
 
 @pytest.mark.parametrize("kind", [0, 1])
@@ -135,7 +149,7 @@ def test_defaults_are_restored_and_stored(new_bench: MakeBench, store_path: Path
     bench.forget()
     bench.function("RESTORE_DEFAULT_PARAMETERS", ack=0)
     bench.run(20)
-    assert bench.events("PARAMETERS_STORED") == [{"count": 5}]
+    assert bench.events("PARAMETERS_STORED") == [{"count": len(CHANGED)}]
     assert_is(all_parameters(bench), FACTORY)
     again = new_bench(store=FileStore(store_path, "roja1")).boot()
     assert_is(all_parameters(again), FACTORY | {"boot_count": 2})

@@ -186,7 +186,7 @@ FAILURES: dict[str, tuple[str, dict[str, Any], tuple[int, int]]] = {
     ),
     "check nothing": ("memory_check", {"memory_id": 1, "start_address": 2, "length": 0}, (OUT_OF_RANGE, 1)),
     "rate": ("time_report_rate", {"rate_exponent": 9}, (OUT_OF_RANGE, 0)),
-    "report parameter": ("parameter_report", {"parameter_ids": [1, 22]}, (UNKNOWN_ID, 22)),
+    "report parameter": ("parameter_report", {"parameter_ids": [1, 24]}, (UNKNOWN_ID, 24)),
     "set out of range": (
         "parameter_set",
         {"settings": [{"parameter_id": 1, "value": 50_000}, {"parameter_id": 10, "value": 21}]},
