@@ -19,7 +19,7 @@ from hil_tests.arm.identification_runs import (
     reasons,
     right_and_wrong,
 )
-from hil_tests.arm.identification_scenes import SCENES, Scene, seen, sky, with_parameters
+from hil_tests.arm.identification_scenes import PARAMETERS, SCENES, Scene, seen, sky, with_parameters
 from st_emulator.firmware_model.identification.interface import (
     Identification,
     MultiPolesParameters,
@@ -27,6 +27,7 @@ from st_emulator.firmware_model.identification.interface import (
 )
 from st_emulator.firmware_model.identification.multi_poles import identify
 from st_emulator.firmware_model.reasons import Reason
+from st_emulator.firmware_model.work import Work
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import identification as binding
 from tools.calibration.steps.identification import place_packed
@@ -39,10 +40,10 @@ def with_poles(scene: Scene, **changes: float) -> Scene:
     return with_parameters(scene, multi_poles=replace(MultiPolesParameters(), **changes))
 
 
-def unsorted(scene: Scene, seed: int) -> Scene:
+def unsorted(scene: Scene, seed: int, decimals: int = 1) -> Scene:
     """The same spikes in any order, some as bright as others: the algorithm sorts them itself."""
     order = np.random.default_rng(seed).permutation(len(scene.spikes))
-    magnitudes = np.round(scene.spikes.magnitudes, 1)
+    magnitudes = np.round(scene.spikes.magnitudes, decimals)
     spikes = Spikes(np.ascontiguousarray(scene.spikes.b_vectors[order]), magnitudes[order])
     return replace(scene, spikes=spikes, true_rows=scene.true_rows[order])
 
@@ -50,12 +51,25 @@ def unsorted(scene: Scene, seed: int) -> Scene:
 KINDS: dict[str, SceneMaker] = {
     **SCENES,
     "unsorted": lambda name, seed: unsorted(seen(name, seed, false=4), seed),
+    "unsorted, mostly false": lambda name, seed: with_poles(
+        unsorted(seen(name, seed, stars=6, false=24), seed, 0), magnitude_tolerance=1.2
+    ),
     "unsorted, some unusable": lambda name, seed: unsorted(SCENES["unusable"](name, seed + 10), seed),
     "two skies, of three": lambda name, seed: with_poles(SCENES["two skies"](name, seed), least_recognised=3),
     "as bright as it may be": lambda name, seed: with_poles(seen(name, seed), magnitude_tolerance=20.0),
+    # many partners for each neighbour: the one that fits best is it
+    "many partners": lambda name, seed: with_poles(
+        with_parameters(seen(name, seed, stars=12), tolerance_rad=10 * PARAMETERS[name].tolerance_rad),
+        magnitude_tolerance=20.0,
+    ),
     "hardly any fits": lambda name, seed: with_poles(seen(name, seed), magnitude_tolerance=0.1),
     "none fits": lambda name, seed: with_poles(seen(name, seed, stars=8), magnitude_tolerance=0.0),
 }
+
+
+def cosines(work: Work) -> int:
+    """Of the pole and each neighbour."""
+    return work["angles_computed"]
 
 
 @pytest.mark.parametrize("name", SKIES)
@@ -63,7 +77,7 @@ KINDS: dict[str, SceneMaker] = {
 def test_the_outcome_is_that_of_the_python_stage(machine: ArmMachine, name: str, kind: str) -> None:
     """Reason, stars, numbers and attitude, whatever the image; the step compares and raises."""
     for seed in range(3):
-        compare_with_python(machine, identify, KINDS[kind](name, seed))
+        compare_with_python(machine, identify, KINDS[kind](name, seed), cosines)
 
 
 def test_the_scenes_end_in_every_way() -> None:
@@ -187,5 +201,5 @@ def test_a_table_that_is_too_small_is_told(machine: ArmMachine) -> None:
 def test_the_cycles_follow_from_the_counts(machine: ArmMachine) -> None:
     """Coefficients of one set of images give the cycles of another within 10 %, line fills included."""
     errors = prediction_errors(machine, identify)
-    assert len(errors) >= 28
+    assert len(errors) >= 14
     assert np.abs(errors).max() < 0.10

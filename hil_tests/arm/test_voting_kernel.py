@@ -13,10 +13,11 @@ from hil_tests.arm.identification_runs import (
     reasons,
     right_and_wrong,
 )
-from hil_tests.arm.identification_scenes import SCENES, Scene, seen, sky, with_parameters
+from hil_tests.arm.identification_scenes import PARAMETERS, SCENES, Scene, seen, sky, with_parameters
 from st_emulator.firmware_model.identification.geometric_voting import identify
 from st_emulator.firmware_model.identification.interface import Identification
 from st_emulator.firmware_model.reasons import Reason
+from st_emulator.firmware_model.work import Work
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import identification as binding
 from tools.calibration.steps.identification import place_packed
@@ -27,8 +28,17 @@ KINDS: dict[str, SceneMaker] = {
     "most are false": lambda name, seed: with_parameters(
         seen(name, seed, stars=10, false=30), max_spots=6, tolerance_rad=1e-4
     ),
-    "more than vote": lambda name, seed: with_parameters(seen(name, seed, stars=20, false=112), max_spots=64),
+    # no star of a spike has two votes
+    "hardly any pair fits": lambda name, seed: with_parameters(
+        seen(name, seed, stars=8), tolerance_rad=PARAMETERS[name].tolerance_rad / 60
+    ),
+    "more than vote": lambda name, seed: with_parameters(seen("wide", seed + len(name), stars=20, false=112), max_spots=64),
 }
+
+
+def second_votes(work: Work) -> int:
+    """Angles of two identities: the judgement's are of stars in a cone and of spots it follows."""
+    return work["catalogue_angles"] - work["cone_stars"] - work["spots_followed"]
 
 
 @pytest.mark.parametrize("name", SKIES)
@@ -37,7 +47,7 @@ def test_the_outcome_is_that_of_the_python_stage(machine: ArmMachine, name: str,
     """Reason, stars, numbers and attitude, whatever the image; the step compares and raises."""
     many = kind in ("most are false", "more than vote")
     for seed in range(1 if many else 3):
-        compare_with_python(machine, identify, KINDS[kind](name, seed))
+        compare_with_python(machine, identify, KINDS[kind](name, seed), second_votes)
 
 
 def test_the_scenes_end_in_every_way() -> None:
@@ -114,5 +124,5 @@ def test_a_room_that_is_too_small_is_told(machine: ArmMachine) -> None:
 def test_the_cycles_follow_from_the_counts(machine: ArmMachine) -> None:
     """Coefficients of one set of images give the cycles of another within 10 %, line fills included."""
     errors = prediction_errors(machine, identify)
-    assert len(errors) >= 28
+    assert len(errors) >= 14
     assert np.abs(errors).max() < 0.10
