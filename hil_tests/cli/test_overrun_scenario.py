@@ -19,7 +19,7 @@ from st_emulator.journal import read_journal
 SCENARIO = Path(__file__).parents[2] / "examples" / "overrun.toml"
 PERIOD_US, EXPOSURE_US, READOUT_US = 250_000, 100_000, 16_700  # roja1
 SLOW_FROM, SLOW_UNTIL = 20, 36  # frame numbers at 5 and 9 s
-SLOW_HZ, FAST_HZ = 12_000_000, 400_000_000
+SLOW_HZ, FAST_HZ = 24_000_000, 400_000_000
 FRAME_OVERRAN, FRAME_DROPPED = 4, 5
 OVERRUN, DROPPED = 16, 64  # reasons
 STATUS, TIMING = 1, 3
