@@ -32,7 +32,9 @@ KINDS: dict[str, SceneMaker] = {
     "hardly any pair fits": lambda name, seed: with_parameters(
         seen(name, seed, stars=8), tolerance_rad=PARAMETERS[name].tolerance_rad / 60
     ),
-    "more than vote": lambda name, seed: with_parameters(seen("wide", seed + len(name), stars=20, false=112), max_spots=64),
+    "more than vote": lambda name, seed: with_parameters(
+        seen("wide", seed + len(name), stars=20, false=112), max_spots=64
+    ),
 }
 
 
