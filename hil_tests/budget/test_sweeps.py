@@ -14,6 +14,7 @@ from st_emulator.budget.modes import LOST_IN_SPACE, TRACKING, both
 from st_emulator.budget.samples import Lost, SkySample, Tracked
 from st_emulator.budget.subject import Subject, subject_of
 from st_emulator.budget.sweeps import (
+    CROWDED,
     FALSE_STARS,
     FRAMES_LOST,
     RATE,
@@ -134,13 +135,16 @@ def test_the_plan_of_random_skies():
     assert (found[RATE][0], found[RATE][-1]) == (0, 5)
     assert (found[WINDOWS][0], found[WINDOWS][-1]) == (0.1, 10)
     assert found[FRAMES_LOST] == [0, 1, 2]
+    assert found[CROWDED] == found[FALSE_STARS]
     for item in plan.points:
         for case in item.looks:
             changed = dict(case.changed)
             if item.sweep == WINDOWS:
                 assert changed["tracking_rate_deg_s"] == pytest.approx(item.value)
             if item.sweep in (RATE, WINDOWS):
-                assert np.linalg.norm(case.place.rate_deg_s) == pytest.approx(item.value)
+                assert np.linalg.norm(case.place.rate_deg_s) == pytest.approx(min(item.value, 5.0))
+            if item.sweep == CROWDED:
+                assert (case.place.false_stars, case.place.frames_lost) == (item.value, 2)
     # the skies of a point are the first ones of the random skies
     assert [case.place.attitude for case in plan.points[0].looks] == [
         case.place.attitude for case in plan.skies[:20]
@@ -157,7 +161,7 @@ def test_instants_of_a_scenario():
     assert max(item.start_ns for item in many) < 10 * 10**9
     assert all(item.start_ns % ROJA1.period_ns == 0 for item in many)
     plan = scenario_plan(ROJA1, 20, scenario)
-    assert {item.sweep for item in plan.points} == {FALSE_STARS, WINDOWS, FRAMES_LOST}
+    assert {item.sweep for item in plan.points} == {FALSE_STARS, WINDOWS, FRAMES_LOST, CROWDED}
 
 
 def test_parameters_of_a_scenario_are_kept_in_every_point():

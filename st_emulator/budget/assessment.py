@@ -236,9 +236,12 @@ def _requirements(
         time_ms: Figure,
         frames: Sequence[Counts],
         clock: LeastClock,
+        *,
+        sought: bool = False,
     ) -> Requirement:
         heaviest = max((costing.cost(item) for item in frames), key=lambda cost: cost.frame.value)
-        return Requirement(name, mode, statistic, time_ms, budget_ns / 1e6, heaviest_stage(heaviest), clock)
+        stage = heaviest_stage(heaviest)
+        return Requirement(name, mode, statistic, time_ms, budget_ns / 1e6, stage, clock, sought)
 
     flown = [sky.lost for sky in skies]
     whole = [sky.lost.whole_counts for sky in skies]
@@ -291,6 +294,7 @@ def _requirements(
                 costing.ms(case.cost.frame),
                 [counts],
                 clock,
+                sought=True,
             )
         )
     return found

@@ -17,7 +17,7 @@ from ..pictures import INK, STYLE
 from .assessment import Assessment
 from .margins import Margin
 from .modes import LOST_IN_SPACE, TRACKING
-from .sweeps import FALSE_STARS, KINDS, RATE, WINDOWS, PointResult
+from .sweeps import CROWDED, FALSE_STARS, KINDS, RATE, WINDOWS, PointResult
 from .timeline import EXPOSURE, MEDIAN, READOUT, SERIAL, WORST, Timeline, timelines
 
 STAGE_COLOURS = dict(
@@ -31,6 +31,7 @@ SENSOR_COLOURS = {EXPOSURE: "#3b4a5a", READOUT: "#6d8196"}
 REPORT_COLOUR = "#e8e3a0"
 LATE_COLOUR = "#ff5252"
 LIS_COLOUR, WHOLE_COLOUR, TRACKING_COLOUR = "#40c4ff", "#ff7ab6", "#ffb000"
+CROWDED_COLOUR = "#ff7043"
 DPI = 110
 BENEATH = "s-"
 LANES = (EXPOSURE, READOUT, MEDIAN, f"{MEDIAN}, {SERIAL}", WORST, f"{WORST}, {SERIAL}")
@@ -120,6 +121,11 @@ def draw_margins(figure: Any, assessment: Assessment) -> None:
     names = [name for name in (FALSE_STARS, RATE, WINDOWS) if name in assessment.sweeps]
     panels = figure.subplots(1, len(names), squeeze=False)[0]
     for axes, name in zip(panels, names, strict=True):
+        if name == FALSE_STARS:
+            crowded = assessment.sweeps[CROWDED]
+            left = [point.tracked.flown.margin for point in crowded]
+            values = [point.value for point in crowded]
+            _band(axes, values, left, CROWDED_COLOUR, f"tracking, {CROWDED}", "v-")
         _margins(axes, name, assessment.sweeps[name])
     panels[0].set_ylabel("margin of the 99th percentile, ms")
     handles: dict[str, Any] = {}
@@ -134,7 +140,7 @@ def draw_margins(figure: Any, assessment: Assessment) -> None:
 
 def _margins(axes: Any, name: str, points: Sequence[PointResult]) -> None:
     kind = KINDS[name]
-    budget = points[0].tracked.flown.margin.budget_ms
+    budget = max(points[0].tracked.flown.margin.budget_ms, 1.0)
     if LOST_IN_SPACE in kind.modes:
         flown = [point.lost.flown.margin for point in points]
         whole = [point.lost.whole.margin for point in points]

@@ -54,6 +54,7 @@ def page(assessment: Assessment, command: str) -> str:
         colour=colour,
         conditions=report.conditions_text(assessment),
         uncertainty=report.uncertainty_text(assessment),
+        accuracy=subject.processor.table.accuracy,
         requirements=tables.requirement_table(assessment),
         timelines=_embedded(
             drawing.svg(lambda figure: drawing.draw_timelines(figure, lines), (12.0, 2.9 * len(lines)))

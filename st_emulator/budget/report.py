@@ -49,9 +49,7 @@ def fits(assessment: Assessment) -> bool:
 
 def uncertainty_text(assessment: Assessment) -> str:
     """What the bounds are."""
-    table = assessment.subject.processor.table
-    accuracy = f" {table.accuracy}" if table.accuracy else ""
-    return f"Bounds: {assessment.subject.processor.uncertainty}.{accuracy}"
+    return f"Bounds: {assessment.subject.processor.uncertainty}."
 
 
 def conditions_text(assessment: Assessment) -> str:
@@ -83,6 +81,7 @@ def figures(assessment: Assessment, command: str) -> dict[str, Any]:
         "fits": fits(assessment),
         "verdict": assessment.verdict.as_dict() | {"text": assessment.verdict.text(subject)},
         "uncertainty": uncertainty_text(assessment),
+        "accuracy_of_cycle_costs": subject.processor.table.accuracy,
         "modelled": list(MODELLED),
         "not_modelled": list(NOT_MODELLED),
         "lost_in_space": assessment.lost.as_dict(),

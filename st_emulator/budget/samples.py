@@ -12,7 +12,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..firmware_model.frame_trace import StepRecord
 from ..firmware_model.reasons import Reason
 from ..firmware_model.work import COUNTS, Work
 from ..profile import UnitProfile
@@ -122,7 +121,7 @@ def look(profile: UnitProfile, scenario: Scenario | None, case: Look) -> SkySamp
         if not inputs.tracking:
             lost = lost_in_space(subject, inputs, report)
             continue
-        result = inputs.process()
+        result, _ = inputs.traced
         tracked.append(
             Tracked(
                 counts_of(result.work + report),
@@ -166,28 +165,23 @@ def frames_at(
 
 
 def lost_in_space(subject: Subject, inputs: FrameInputs, report: Work) -> Lost:
-    """A frame lost in space with its limit, with that of the other mode, and with none."""
-    before, search = Work({"frames": 1}), Work()
-    searched = False
+    """A frame lost in space with its limit, with that of the other mode, and with none.
 
-    def keep(record: StepRecord) -> None:
-        nonlocal before, search, searched
-        if record.step == "identify":
-            search, searched = record.work, True
-        elif not searched:
-            before = before + record.work
-
-    whole = inputs.without_limit().process(keep)
-    budgets = (subject.cycle_budget(subject.pipelined), subject.cycle_budget(not subject.pipelined))
-    needed = subject.processor.cycles(search).total
-    results = []
-    for budget in budgets:
-        if needed < SURE_SHARE * budget.cycles:  # the limit is not met: the same frame once more
-            results.append(whole)
-            continue
-        limited = replace(inputs, configuration=replace(inputs.configuration, cycle_budget=budget))
-        results.append(limited.process())
-    flown, other = results
+    A search that a limit does not end is the same with a wider one or none, so it is run once.
+    """
+    flown, records = inputs.traced
+    whole = flown
+    if flown.reasons & Reason.WORK_LIMIT:
+        whole, records = inputs.without_limit().traced
+    steps = [record.step for record in records]
+    at = steps.index("identify") if "identify" in steps else len(steps)
+    before = sum((record.work for record in records[:at]), Work({"frames": 1}))
+    search = records[at].work if at < len(steps) else Work()
+    other = whole
+    budget = subject.cycle_budget(not subject.pipelined)
+    if subject.processor.cycles(search).total >= SURE_SHARE * budget.cycles:
+        limited = replace(inputs.configuration, cycle_budget=budget)
+        other = replace(inputs, configuration=limited).process()
     return Lost(
         counts_of(flown.work + report),
         int(flown.reasons),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from ..campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_s
 from ..configuration import bodies_of, camera_model, firmware_configuration, scene_of, sky_of, star_tables
 from ..firmware_model.configuration import FirmwareConfiguration, StarTables
 from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
-from ..firmware_model.frame_trace import Trace
+from ..firmware_model.frame_trace import StepRecord, Trace
 from ..firmware_model.modes import Mode
 from ..firmware_model.tracking import plan_windows
 from ..onboard.parameters import default_parameters
@@ -81,6 +81,12 @@ class FrameInputs:
     @property
     def tracking(self) -> bool:
         return self.context.acquisition is Mode.TRACKING
+
+    @cached_property
+    def traced(self) -> tuple[FrameResult, list[StepRecord]]:
+        """The firmware's result with the steps that led to it; run once, kept with the inputs."""
+        records: list[StepRecord] = []
+        return self.process(records.append), records
 
     def process(self, trace: Trace | None = None) -> FrameResult:
         """Run the firmware on the frame; ``trace`` is told of each step."""
@@ -226,7 +232,7 @@ def _chain(
         yield inputs
         if number == tracked:
             return
-        result = inputs.process()
+        result, _ = inputs.traced
         acquired = result.valid
         state = result.state if acquired else _true_state(renderer, frame, configuration, tables)
         state = replace(state, missed=min(frames_lost, configuration.tracking.max_missed))

@@ -19,12 +19,13 @@ FALSE_STARS = "false stars"
 RATE = "angular rate"
 WINDOWS = "window size"
 FRAMES_LOST = "frames lost"
+CROWDED = "false stars after lost frames"
 
 MOST_FALSE_STARS = 500
 MOST_RATE_DEG_S = 5.0
 FALSE_STAR_COUNTS = (0, 5, 10, 20, 50, 100, 200, MOST_FALSE_STARS)
 RATES_DEG_S = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, MOST_RATE_DEG_S)
-WINDOW_RATES_DEG_S = (0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0)  # to the end of the parameter's range
+WINDOW_RATES_DEG_S = (0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)  # to the end of the parameter's range
 SHARE_OF_SKIES = 5  # a point of a sweep has so much fewer skies than the random ones
 FEWEST_SKIES = 20
 REFINEMENTS = 5  # values looked at between the last that fits and the first that does not
@@ -58,13 +59,20 @@ KINDS = {
         SweepKind(
             WINDOWS,
             "deg/s",
-            "parameter tracking_rate_deg_s, which makes the windows, and the sky turns as fast",
+            "parameter tracking_rate_deg_s, which makes the windows; the sky turns as fast, to 5 deg/s",
             (TRACKING,),
         ),
         SweepKind(
             FRAMES_LOST,
             "frames",
             "frames without attitude before a tracked one, which widen its windows",
+            (TRACKING,),
+            whole_values=True,
+        ),
+        SweepKind(
+            CROWDED,
+            "spots",
+            "spots that are no stars in windows as wide as lost frames make them",
             (TRACKING,),
             whole_values=True,
         ),
@@ -129,6 +137,7 @@ def random_plan(subject: Subject, n: int, seed: int) -> Plan:
         RATE: RATES_DEG_S,
         WINDOWS: WINDOW_RATES_DEG_S,
         FRAMES_LOST: range(most_lost(subject) + 1),
+        CROWDED: FALSE_STAR_COUNTS,
     }
     points = [
         random_point(subject, n, seed, sweep, value) for sweep, found in values.items() for value in found
@@ -145,10 +154,12 @@ def random_point(subject: Subject, n: int, seed: int, sweep: str, value: float) 
     elif sweep == RATE:
         skies = random_conditions(fewer, seed, rate_deg_s=value)
     elif sweep == WINDOWS:
-        skies = random_conditions(fewer, seed, rate_deg_s=value)
+        skies = random_conditions(fewer, seed, rate_deg_s=min(value, MOST_RATE_DEG_S))
         changed = subject.with_parameters(tracking_rate_deg_s=value).changed
-    else:
+    elif sweep == FRAMES_LOST:
         skies = random_conditions(fewer, seed, frames_lost=int(value))
+    else:
+        skies = random_conditions(fewer, seed, false_stars=int(value), frames_lost=most_lost(subject))
     return Point(sweep, value, tuple(Look(item, changed) for item in skies))
 
 
@@ -161,6 +172,7 @@ def scenario_plan(subject: Subject, n: int, scenario: Scenario) -> Plan:
         FALSE_STARS: FALSE_STAR_COUNTS,
         WINDOWS: WINDOW_RATES_DEG_S,
         FRAMES_LOST: range(most_lost(subject) + 1),
+        CROWDED: FALSE_STAR_COUNTS,
     }
     points = [
         scenario_point(subject, n, scenario, sweep, value)
@@ -178,8 +190,11 @@ def scenario_point(subject: Subject, n: int, scenario: Scenario, sweep: str, val
         instants = [replace(item, false_stars=int(value)) for item in instants]
     elif sweep == WINDOWS:
         changed = subject.with_parameters(tracking_rate_deg_s=value).changed
-    else:
+    elif sweep == FRAMES_LOST:
         instants = [replace(item, frames_lost=int(value)) for item in instants]
+    else:
+        lost = most_lost(subject)
+        instants = [replace(item, false_stars=int(value), frames_lost=lost) for item in instants]
     return Point(sweep, value, tuple(Look(item, changed) for item in instants))
 
 

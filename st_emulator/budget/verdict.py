@@ -10,13 +10,15 @@ from .figures import Cost, Figure
 from .least_clock import LeastClock
 from .subject import Subject
 
+FITS_NOT_EVERY_FRAME = "does not fit in every frame (the skies do, the worst frame found does not)"
+
 
 @dataclass(frozen=True)
 class Requirement:
     """Frames of a mode that have to be on time.
 
     time_ms: what of them is held to the budget, as ``statistic`` says. stage: the heaviest of that frame.
-    clock: from which on the requirement is met.
+    clock: from which on the requirement is met. sought: of frames found by the search for the worst one.
     """
 
     name: str
@@ -26,6 +28,7 @@ class Requirement:
     budget_ms: float
     stage: str
     clock: LeastClock
+    sought: bool = False
 
     @property
     def fits(self) -> bool:
@@ -80,9 +83,11 @@ class Verdict:
 
     @property
     def word(self) -> str:
-        """``fits``, ``fits, but not at the upper bound`` or ``does not fit``."""
-        if not self.fits:
-            return "does not fit"
+        """``fits``, ``fits, but not at the upper bound``, ``does not fit``, or that all does but what the search
+        has found."""
+        late = [item for item in self.requirements if not item.fits]
+        if late:
+            return "does not fit" if any(not item.sought for item in late) else FITS_NOT_EVERY_FRAME
         return "fits" if self.fits_at_bound else "fits, but not at the upper bound of the cost"
 
     def text(self, subject: Subject) -> str:
@@ -92,7 +97,7 @@ class Verdict:
         late = [item.name for item in self.requirements if not item.fits]
         unsure = [item.name for item in self.requirements if item.fits and not item.fits_at_bound]
         sentence = (
-            f"{subject.profile.name} {self.word}: {first.budget_ms:g} ms a frame at {clock_mhz:g} MHz, "
+            f"{subject.profile.name} {self.word}. A frame has {first.budget_ms:g} ms at {clock_mhz:g} MHz, "
             f"caches {subject.processor.cache_kib} KiB, line fill {subject.processor.line_fill}."
         )
         if late:
