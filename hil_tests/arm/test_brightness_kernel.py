@@ -39,6 +39,10 @@ KINDS: dict[str, SceneMaker] = {
     "reference stars": lambda name, seed: with_brightness(
         seen(name, seed, false=6, noise_px=0.15), bright_limit_mag=sky(name).limit_mag - 0.7
     ),
+    # either spike may be the brighter star, but the pivot's is a reference star
+    "reference stars, no order": lambda name, seed: with_brightness(
+        seen(name, seed, stars=16, false=6), distinct_mag=20.0, bright_limit_mag=sky(name).limit_mag - 0.5
+    ),
     "three, one for reference": lambda name, seed: with_brightness(
         seen(name, seed, stars=3), bright_limit_mag=sky(name).limit_mag
     ),
