@@ -73,7 +73,8 @@ def directions(spots: Spots, configuration: FirmwareConfiguration, log: FrameLog
     """Unit vectors of spots in the sensor frame, float64[n, 3]."""
     geometry = configuration.geometry
     vectors, newton_steps = geometry.counted_unit_vectors(spots.x_px, spots.y_px)
-    work = Work({"unit_vectors": len(spots), "newton_steps": newton_steps})
+    begun = int(len(spots) > 0)
+    work = Work({"directions_begun": begun, "unit_vectors": len(spots), "newton_steps": newton_steps})
     arguments = {"geometry": geometry, "x_px": spots.x_px, "y_px": spots.y_px}
     log.step("unit_vectors", arguments, vectors, work)
     return vectors

@@ -71,7 +71,9 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("centroid_background_pixels", "centroid", "pixel of the ring round a spot for its local background"),
     ("centroid_interpolations", "centroid", "axis of a spot whose columns or rows are compared for Z (6)"),
     ("interpolations_solved", "centroid", "such an axis with its quadratic equation solved"),
+    ("spots_judged", "centroid", "spot whose magnitude is taken (a logarithm) and looked at"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
+    ("directions_begun", "centroid", "frame whose positions are turned to unit vectors: the code is cold"),
     ("unit_vectors", "centroid", "pixel position turned to a unit vector (pinhole)"),
     ("newton_steps", "centroid", "step of Newton's method that frees a position from distortion"),
     # identification

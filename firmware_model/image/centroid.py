@@ -25,8 +25,8 @@ SPOT_FIELDS = 8
 # int64[TALLIES]: rejections by reason, then work
 SMALL, LARGE, SHARP, EDGE, FAINT = range(5)
 PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(5, 10)
-TABLES, REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED = range(10, 16)
-TALLIES = 16
+TABLES, REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED, JUDGED = range(10, 17)
+TALLIES = 17
 
 
 class SpotLimits(NamedTuple):
@@ -58,6 +58,7 @@ def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
         "centroid_pixels": tally[WINDOW_PIXELS],
         "centroid_interpolations": tally[INTERPOLATIONS],
         "interpolations_solved": tally[SOLVED],
+        "spots_judged": tally[JUDGED],
     }
 
 
@@ -303,6 +304,7 @@ def measure_spots(
         inside = first_x - 1.0 <= centre_x <= last_x + 1.0 and first_y - 1.0 <= centre_y <= last_y + 1.0
         if outcome[cluster] < 0:
             lit = flux > LEAST_FLUX_DN and inside
+            tally[JUDGED] += lit
             magnitude = -2.5 * math.log10(flux / limits.zero_point_dn) if lit else np.inf
             peak = entry[PEAK] + entry[BACKGROUND] - background
             if not magnitude <= limits.magnitude_limit or not lit:
