@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +173,10 @@ def test_work_counts_what_was_done(render_stars: Render) -> None:
     assert work["runs"] == (np.diff(over.astype(int), axis=1, prepend=0) == 1).sum()
     assert work["centroid_stars"] == 4  # two passes each
     assert work["centroid_pixels"] == 2 * (5 * 5 + 6 * 6)  # a 5 px window touches 6 px off the grid
+    assert work["spots_judged"] == 2
+    for refused, judged in ((parameters(magnitude_limit=-20.0), 2), (parameters(min_pixels=500), 0)):
+        kept, other = detect(image, replace(refused, tau_min_dn=12.0))
+        assert (len(kept), other["spots_judged"]) == (0, judged)
     assert work["spots_sorted"] == 2
     assert set(work.counts) <= set(COUNTS)
     again, same = detect(image, parameters(tau_min_dn=12.0))
