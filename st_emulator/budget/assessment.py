@@ -68,7 +68,8 @@ class StopRow:
         return f"{self.mode}{limit}"
 
     def text(self) -> str:
-        """``between 50 and 58 (100 at the low cost, 20 at the high)``, or that it never does."""
+        """``fits to 50, not at 58 spots (lower bound: not at 67; upper bound: not at 50)``, or that it
+        never stops."""
         kind = KINDS[self.sweep]
         stop = self.stop
         if stop.stops_at is None:
@@ -77,14 +78,14 @@ class StopRow:
                 what = "the most at which tracking holds"
             words = f"fits to {self.last_value:g} {kind.unit}, {what}"
             if stop.stops_at_high_cost is not None:
-                words += f"; at the upper bound of the cost not at {stop.stops_at_high_cost:g}"
+                words += f" (upper bound: not at {stop.stops_at_high_cost:g})"
             return words
-        from_text = "nowhere" if stop.fits_to is None else f"to {stop.fits_to:g}"
-        bounds = [
-            f"{'never' if value is None else f'at {value:g}'} at the {name} bound"
+        start = "fits nowhere" if stop.fits_to is None else f"fits to {stop.fits_to:g},"
+        bounds = "; ".join(
+            f"{name} bound: {'to the end' if value is None else f'not at {value:g}'}"
             for name, value in (("lower", stop.stops_at_low_cost), ("upper", stop.stops_at_high_cost))
-        ]
-        return f"fits {from_text}, not at {stop.stops_at:g} {kind.unit} ({', '.join(bounds)})"
+        )
+        return f"{start} not at {stop.stops_at:g} {kind.unit} ({bounds})"
 
 
 @dataclass(frozen=True)

@@ -285,7 +285,7 @@ def refinements(stop: Stop, whole_values: bool) -> Iterator[float]:
     seen = {stop.fits_to, stop.stops_at}
     for number in range(1, REFINEMENTS + 1):
         value = stop.fits_to + number * step
-        value = float(round(value)) if whole_values else round(value, 4)
+        value = float(round(value)) if whole_values else round(value, 2)
         if value not in seen:
             seen.add(value)
             yield value

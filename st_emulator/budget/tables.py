@@ -186,7 +186,7 @@ def memory_table(assessment: Assessment) -> TextTable:
         (item.group, item.name, f"{item.nbytes / MIB:.3f}", item.basis, item.remark) for item in memory.items
     ]
     total = (
-        f"{memory.total_bytes / MIB:.2f} ({(memory.total_bytes - memory.assumed_bytes) / MIB:.2f} to "
+        f"{memory.total_bytes / MIB:.2f} ({(memory.total_bytes - memory.assumed_bytes) / MIB:.2f}.."
         f"{(memory.total_bytes + memory.assumed_bytes) / MIB:.2f})"
     )
     word = "fits" if memory.fits else "does not fit"

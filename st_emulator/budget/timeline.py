@@ -17,11 +17,6 @@ WORST = "worst frame found"
 SERIAL = "on the line"
 MOST_EXPOSURES = 12  # of the sensor that are shown
 MS = 1e-6  # of a nanosecond
-# Tracking plans its windows before it looks at pixels.
-ORDERS = {
-    LOST_IN_SPACE: STAGES,
-    TRACKING: ("tracking", *(stage for stage in STAGES if stage != "tracking")),
-}
 
 
 @dataclass(frozen=True)
@@ -82,7 +77,7 @@ def timeline(assessment: Assessment, mode: str, pipelined: bool) -> Timeline:
         (MEDIAN, assessment.median_cost(mode, pipelined)),
         (WORST, _worst(assessment, mode, pipelined)),
     ):
-        spans += processing(assessment, mode, lane, cost, begin)
+        spans += processing(assessment, lane, cost, begin)
     latest = max(span.end_high_ms for span in spans)
     for number in range(min(MOST_EXPOSURES, max(2, math.ceil(latest / period)))):
         start = number * period
@@ -99,12 +94,16 @@ def timeline(assessment: Assessment, mode: str, pipelined: bool) -> Timeline:
     )
 
 
-def processing(assessment: Assessment, mode: str, lane: str, cost: Cost, begin_ms: float) -> list[Span]:
-    """The stages of a frame from its read-out on, one after the other, then its report on the serial line."""
+def processing(assessment: Assessment, lane: str, cost: Cost, begin_ms: float) -> list[Span]:
+    """The stages of a frame from its read-out on, one after the other, then its report on the serial line.
+
+    The stage tracking stands where its verification does; the windows are planned before the read-out's
+    pixels are looked at.
+    """
     costing = assessment.costing
     spans = []
     at = at_high = begin_ms
-    for stage in ORDERS[mode]:
+    for stage in STAGES:
         time = costing.ms(cost.by_row[stage])
         if time.high <= 0:
             continue

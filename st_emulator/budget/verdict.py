@@ -83,8 +83,8 @@ class Verdict:
 
     @property
     def word(self) -> str:
-        """``fits``, ``fits, but not at the upper bound``, ``does not fit``, or that all does but what the search
-        has found."""
+        """``fits``, ``fits, but not at the upper bound``, ``does not fit``, or that all does but what the
+        search has found."""
         late = [item for item in self.requirements if not item.fits]
         if late:
             return "does not fit" if any(not item.sought for item in late) else FITS_NOT_EVERY_FRAME
@@ -104,8 +104,9 @@ class Verdict:
             sentence += f" Late: {'; '.join(late)}."
         if unsure:
             sentence += f" Late at the upper bound: {'; '.join(unsure)}."
+        when = " as the clock falls" if self.fits else ""
         return sentence + (
-            f" What breaks first as the clock falls: {first.name}, stage {first.stage}; all of it fits from "
+            f" What breaks first{when}: {first.name}, stage {first.stage}; all of it fits from "
             f"{self.clock.text()} on."
         )
 
