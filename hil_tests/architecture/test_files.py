@@ -65,3 +65,9 @@ def test_such_lines_would_be_found():
     assert MACHINE_PATHS.search('"/wo' + 'rk/main"')
     assert not MACHINE_PATHS.search("firmware_model/work/x")
     assert PACKAGE_HOSTS.search("https://pypi" + ".org/simple")
+
+
+def test_no_figure_claims_more_than_it_is():
+    claim = re.compile("cycle" + r"[\s_-]*" + "accura", re.IGNORECASE)
+    assert claim.search("Cycle" + "-Accurate")
+    assert [path for path, text in text_files() if claim.search(text)] == []

@@ -73,6 +73,13 @@ def test_ports_are_opened_in_links_alone():
     }
 
 
+def test_the_simulator_of_the_core_stays_in_the_tools():
+    assert users("unicorn", "capstone", "elftools") == set()
+    machine = [source for source in sources() if any(is_in(name, "unicorn") for name in source.imports())]
+    assert machine
+    assert all(source.path.startswith(("tools/arm_timing/", "hil_tests/arm/")) for source in machine)
+
+
 def test_construct_stays_in_the_protocol():
     assert all(path.startswith("protocol/") for path in users("construct"))
 

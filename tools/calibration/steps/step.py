@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from tools.arm_timing.machine import ArmMachine, Cost
-
     from st_emulator.firmware_model.frame_trace import StepRecord
     from st_emulator.firmware_model.work import Work
+    from tools.arm_timing.machine import ArmMachine, Cost
 
 __all__ = ["MismatchError", "OwnRecords", "StageRun", "Step"]
 
