@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..firmware_model.reasons import Reason
-from ..firmware_model.work import STAGES
 from .figures import FRAME, Costing, Distribution, by_row
 from .margins import Margin, margin_of
 from .samples import Lost, SkySample, Tracked
@@ -22,11 +21,6 @@ class Cycles:
 
     rows: dict[str, Distribution]
     margin: Margin
-
-    @property
-    def heaviest_stage(self) -> str:
-        """The stage that takes most at the 99th percentile."""
-        return max(STAGES, key=lambda stage: self.rows[stage].p99.value)
 
     def as_dict(self) -> dict[str, object]:
         return {
