@@ -1,7 +1,7 @@
 """Frames for the firmware, one by one: a sky under given conditions, lost in space and tracked after it.
 
-The budget, its sweeps and its search for the worst case run these frames; the calibration of the cycle costs
-takes its own from `frames_of`. A frame is a pure function of the unit, the conditions and the settings.
+The budget, its sweeps and its search for the worst case run these frames; `frames_of` gives them to anyone
+else. A frame is a pure function of the unit, the conditions and the settings.
 """
 
 from __future__ import annotations
