@@ -79,7 +79,12 @@ def test_the_wheel_holds_everything_under_one_name(wheel):
         for source in sources()
         if source.module.startswith("st_emulator")
     }
-    for pattern in ("st_emulator/profiles/*.toml", "firmware_model/cycle_costs/*.json", "*/py.typed"):
+    for pattern in (
+        "st_emulator/profiles/*.toml",
+        "st_emulator/budget/*.jinja",
+        "firmware_model/cycle_costs/*.json",
+        "*/py.typed",
+    ):
         found = [path.relative_to(ROOT).as_posix() for path in ROOT.glob(pattern)]
         assert found
         expected |= {f"st_emulator/{path.removeprefix('st_emulator/')}" for path in found}
