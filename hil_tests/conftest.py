@@ -6,6 +6,11 @@ import os
 import socket
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# How fast the computer is, and what else it does, decides nothing here.
+settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any speed")
 
 MISSING = "there is no vcan0 here: ./tools/vcan .venv/bin/python -m pytest -m vcan runs these tests with one"
 
