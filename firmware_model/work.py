@@ -61,6 +61,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     # centroid
     ("measurings", "centroid", "measurement of a frame's clusters begun: its code is in no cache"),
     ("first_centroids", "centroid", "first centre of mass of a frame: its code is in no cache"),
+    ("frames_measured", "centroid", "full frame with a centre of mass: its pixels filled the data cache"),
     ("cluster_tables", "centroid", "table of clusters gone through: of a full frame or a detection window"),
     ("clusters_refused", "centroid", "cluster refused for its size or place before it is measured"),
     ("mask_pixels", "centroid", "pixel of the square round a cluster that shows whose its pixels are"),
@@ -71,6 +72,8 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("centroid_background_pixels", "centroid", "pixel of the ring round a spot for its local background"),
     ("centroid_interpolations", "centroid", "axis of a spot whose columns or rows are compared for Z (6)"),
     ("interpolations_solved", "centroid", "such an axis with its quadratic equation solved"),
+    ("interpolated_tables", "centroid", "table of clusters with an interpolation: the noise of a moment"),
+    ("first_interpolations", "centroid", "first interpolation of a frame: its code is in no cache"),
     ("spots_judged", "centroid", "spot whose magnitude is taken (a logarithm) and looked at"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
     ("directions_begun", "centroid", "frame whose positions are turned to unit vectors: the code is cold"),

@@ -25,8 +25,8 @@ SPOT_FIELDS = 8
 # int64[TALLIES]: rejections by reason, then work
 SMALL, LARGE, SHARP, EDGE, FAINT = range(5)
 PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(5, 10)
-TABLES, REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED, JUDGED = range(10, 17)
-TALLIES = 17
+TABLES, REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED, JUDGED, INTERPOLATED = range(10, 18)
+TALLIES = 18
 
 
 class SpotLimits(NamedTuple):
@@ -57,6 +57,8 @@ def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
         "centroid_stars": tally[PASSES],
         "centroid_pixels": tally[WINDOW_PIXELS],
         "centroid_interpolations": tally[INTERPOLATIONS],
+        "first_interpolations": int(tally[INTERPOLATIONS] > 0),
+        "interpolated_tables": tally[INTERPOLATED],
         "interpolations_solved": tally[SOLVED],
         "spots_judged": tally[JUDGED],
     }
@@ -209,6 +211,7 @@ def measure_spots(
     side = limits.max_extent + 2 * margin + 2
     store = np.empty(side * side, np.uint8)
     found = 0
+    interpolated = 0
     for cluster in range(clusters.shape[0]):
         entry = clusters[cluster]
         first_x, last_x = entry[FIRST_X], entry[LAST_X]
@@ -317,6 +320,7 @@ def measure_spots(
                 if limits.interpolation.wanted and not saturated:
                     # two axes; a spot that is no Gaussian is found out by the same sums
                     tally[INTERPOLATIONS] += 2
+                    interpolated = 1
                     solved, good, place_x, place_y = interpolate(
                         image,
                         mask,
@@ -340,4 +344,5 @@ def measure_spots(
                 found += 1
         if outcome[cluster] >= 0:
             tally[outcome[cluster]] += 1
+    tally[INTERPOLATED] += interpolated
     return found

@@ -205,6 +205,7 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
         "rows_joined": image.shape[0],
         "cluster_pixels": counts[centroid.CLUSTER_PIXELS],
         "clusters": clusters,
+        "frames_measured": int(counts[centroid.PASSES] > 0),
         "spots_sorted": sorting_work(found),
     }
     work.counts |= centroid.centroid_counts(counts)

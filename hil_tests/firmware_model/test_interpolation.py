@@ -343,6 +343,16 @@ def test_windows_interpolate_as_the_full_frame_does(render_stars: Render) -> Non
     assert result.spots.x_px == pytest.approx(spots.x_px, abs=0.002)
     assert result.spots.y_px == pytest.approx(spots.y_px, abs=0.002)
     assert work["centroid_interpolations"] == 2
+    both = np.concatenate([window, window])
+    offsets = np.array([0, window.size, 2 * window.size])
+    _, twice = detect_in_windows(both, offsets, np.repeat(rect, 2, 0), parameters, width_px=60, height_px=60)
+    for name, once, then in (
+        ("centroid_interpolations", 2, 4),
+        ("interpolated_tables", 1, 2),
+        ("first_interpolations", 1, 1),
+        ("frames_measured", 0, 0),
+    ):
+        assert (work[name], twice[name]) == (once, then), name
 
 
 def test_work_is_counted_for_both_axes(render_stars: Render) -> None:
@@ -352,7 +362,9 @@ def test_work_is_counted_for_both_axes(render_stars: Render) -> None:
         spots, work = detect(image, parameters)
         assert len(spots) == 2
         assert work["centroid_interpolations"] == expected
+        assert work["interpolated_tables"] == work["first_interpolations"] == expected // 4
         assert work["centroid_stars"] == 4
+        assert work["frames_measured"] == 1
 
 
 @pytest.mark.parametrize(
