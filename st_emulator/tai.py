@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import erfa
 
-from .protocol.packets import CucTime
+from .protocol.pus.packets import CucTime
 
 EPOCH_1958 = datetime(1958, 1, 1, tzinfo=UTC)
 NS_PER_S = 1_000_000_000

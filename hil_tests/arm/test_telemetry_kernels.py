@@ -26,7 +26,7 @@ from st_emulator.protocol import (
     parse_telecommand,
     slip_encode,
 )
-from st_emulator.protocol.enumerations import MalformedReason, Mode, Reason, TimeStatus
+from st_emulator.protocol.pus.enumerations import MalformedReason, Mode, Reason, TimeStatus
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps.link_rounds import (
     APID,

@@ -16,10 +16,10 @@ from typing import Any
 from hil_tests.unit.conftest import EVENT, PARAMETER, WIDE, Bench, make, make_can
 from hil_tests.vectors import reference_decoder as wire
 from hil_tests.vectors.reference_can import error_record, record, remote_record
-from st_emulator.onboard.parameter_store import StoreContents, VolatileStore
-from st_emulator.protocol.enumerations import StoreInvalidCause
-from st_emulator.scenario import InertialTrajectory, Scenario, parse_scenario
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.bench.scenario import InertialTrajectory, Scenario, parse_scenario
+from st_emulator.device.store import StoreContents, VolatileStore
+from st_emulator.protocol.pus.enumerations import StoreInvalidCause
+from st_emulator.wire.can.wiring import CanWiring
 
 FOLDER = Path(__file__).parent
 EXAMPLES = FOLDER.parents[1] / "examples"

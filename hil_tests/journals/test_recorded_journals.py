@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from st_emulator.journal import JournalEntry, read_journal
-from st_emulator.replaying import emulator_of, feed, first_difference, refusals_of
+from st_emulator.bench.journal import JournalEntry, read_journal
+from st_emulator.commands.replaying import emulator_of, feed, first_difference, refusals_of
 
 KEPT = sorted(Path(__file__).parent.glob("*.jsonl.xz"))
 

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 
-from ..configuration import cycle_budget, processor_in_force, processor_profile
+from ..device.calibration import cycle_budget, processor_in_force, processor_profile
+from ..device.parameters import BY_NAME, default_parameters
 from ..errors import ConfigurationError
 from ..firmware_model.processor import LINE_FILLS, CycleBudget, ProcessorProfile
-from ..onboard.parameters import BY_NAME, default_parameters
-from ..profile import UnitProfile
 from ..protocol.errors import LocalProtocolError
+from ..units.profile import UnitProfile
 
 Parameters = tuple[tuple[str, float | int], ...]
 

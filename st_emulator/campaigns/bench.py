@@ -11,19 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..configuration import (
-    bodies_of,
-    camera_model,
-    firmware_configuration,
-    sky_of,
-    star_tables,
-)
+from ..bench.scenario import Scenario, Sky
+from ..device.calibration import bodies_of, camera_model, firmware_configuration, sky_of, star_tables
+from ..device.parameters import default_parameters
 from ..firmware_model.configuration import FirmwareConfiguration
 from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
 from ..firmware_model.modes import Mode
-from ..onboard.parameters import default_parameters
-from ..profile import UnitProfile
-from ..scenario import Scenario, Sky
+from ..units.profile import UnitProfile
 from ..world import quaternion
 from ..world.scene import RenderedFrame, SceneRenderer
 from ..world.time_scales import tai_ns_from_utc

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from ..protocol.enumerations import CanState, MalformedReason, TransferFailure
+from ..protocol.pus.enumerations import CanState, MalformedReason, TransferFailure
 
 
 class PortClient(Protocol):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from ..clock import VirtualClock
 from ..protocol.framing import FrameReceived, SlipDecoder, slip_encode
-from ..protocol.packets import MAX_TELECOMMAND_BYTES
+from ..protocol.pus.packets import MAX_TELECOMMAND_BYTES
 from .port import PortClient
 from .serial_line import SerialLine
 

@@ -34,9 +34,9 @@ from st_emulator.protocol import (
     parse_telecommand,
     slip_encode,
 )
-from st_emulator.protocol.enumerations import MalformedReason
-from st_emulator.protocol.packets import MAX_TELECOMMAND_BYTES
-from st_emulator.protocol.services.large_data import encode_image_header
+from st_emulator.protocol.pus.enumerations import MalformedReason
+from st_emulator.protocol.pus.packets import MAX_TELECOMMAND_BYTES
+from st_emulator.protocol.pus.services.large_data import encode_image_header
 
 __all__ = [
     "APID",
