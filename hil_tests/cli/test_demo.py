@@ -152,7 +152,7 @@ def test_truth_that_is_cut_short_or_absent(tmp_path):
 @pytest.mark.parametrize("unit", ["roja1", "zy3", "science_cam", "aps_rs"])
 @pytest.mark.parametrize("seconds", [12.0, 30.0, 3600.0])
 def test_scenario_is_valid_and_turns_below_the_units_rate(unit, seconds):
-    from st_emulator.device.calibration import trajectory_of
+    from st_emulator.bench.world_of import trajectory_of
 
     profile = load_unit(unit)
     scenario = parse_scenario(demo_scenario(profile, seconds, 3), "demo")

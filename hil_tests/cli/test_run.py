@@ -210,9 +210,9 @@ def render(path: Path, number: int) -> np.ndarray:
     from PIL import Image
 
     from st_emulator.bench.scenario import InertialTrajectory, Scenario, Sky
-    from st_emulator.device.calibration import scene_of
+    from st_emulator.bench.world_of import scene_of
+    from st_emulator.tai import tai_ns_from_utc
     from st_emulator.units.profile import load_unit
-    from st_emulator.world.time_scales import tai_ns_from_utc
 
     pointing = InertialTrajectory(ra_deg=RA_DEG, dec_deg=DEC_DEG, roll_deg=ROLL_DEG)
     # The firmware does not know the date of a recorded frame, so it cannot correct aberration.

@@ -8,7 +8,7 @@ import pytest
 from hil_tests.vectors import reference_decoder as wire
 from st_emulator.bench.emulator import Emulator
 from st_emulator.bench.scenario import Scenario
-from st_emulator.device.calibration import scene_of
+from st_emulator.bench.world_of import scene_of
 from st_emulator.errors import ConfigurationError
 from st_emulator.protocol.pus.enumerations import FaultCause
 from st_emulator.units.profile import UnitProfile, load_unit

@@ -20,7 +20,7 @@ from st_emulator.world.trajectory import (
 )
 
 NS = 1_000_000_000
-START = time_scales.tai_ns_from_utc("2026-03-20T12:00:00Z")
+START = tai_ns_from_utc("2026-03-20T12:00:00Z")
 
 MANOEUVRES = slew(
     ra_deg=40.0,

@@ -22,8 +22,10 @@ from typing import Any, Literal
 
 import construct
 
+from ...firmware_model.modes import Mode
+from ...firmware_model.reasons import Reason
 from ..errors import LocalProtocolError
-from ..pus.enumerations import CanState, Mode, Reason
+from .vocabulary import CanState
 
 Direction = Literal["TM", "TC"]
 RESERVED = "reserved"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from ..pus.enumerations import TransferFailure
 from .frames import CLASSIC_BYTES, CanFrame
 from .transfer import (
     CONTINUE_TO_SEND,
@@ -22,6 +21,7 @@ from .transfer import (
     ReceptionFailed,
     encode_separation_time,
 )
+from .vocabulary import TransferFailure
 
 # SF_DL in frames above 8 bytes begins where the next shorter frame ends (9.6.2.1, table 13).
 _SHORTEST_LONG_SINGLE = {length: max(shorter - 1, CLASSIC_BYTES) for shorter, length in pairwise(FRAME_BYTES)}

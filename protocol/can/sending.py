@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ..pus.enumerations import TransferFailure
 from .frames import CLASSIC_BYTES, CanFrame
 from .transfer import (
     CONSECUTIVE,
@@ -20,6 +19,7 @@ from .transfer import (
     TransmissionFailed,
     decode_separation_time_ns,
 )
+from .vocabulary import TransferFailure
 
 _LONGEST_SEPARATION_NS = 127_000_000
 _SEQUENCES = [bytes([CONSECUTIVE << 4 | number]) for number in range(16)]

@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..errors import LocalProtocolError
-from ..pus.enumerations import TransferFailure
 from .frames import (
     CAN_FD_LENGTHS,
     CLASSIC_BYTES,
@@ -16,6 +15,7 @@ from .frames import (
     CanFrame,
     padded_length,
 )
+from .vocabulary import TransferFailure
 
 NEVER_NS = 1 << 63  # later than any time
 MAX_PDU_BYTES = (1 << 32) - 1  # FF_DL has 32 bits behind its escape (9.6.3.1)
@@ -32,6 +32,27 @@ CONTINUE_TO_SEND, WAIT, OVERFLOW = range(3)
 _NS_PER_US = 1_000
 _US_PER_MS = 1_000
 _LONGEST_STMIN = 0x7F
+
+
+def frame_kind(data: bytes) -> int | None:
+    """SINGLE, FIRST, CONSECUTIVE, FLOW_CONTROL or a reserved number (9.6.1); None: no data."""
+    return data[0] >> 4 if data else None
+
+
+def payload_bytes(data: bytes) -> int:
+    """Octets of a segmented PDU that a frame of ours carries, padding included; 0 for flow control.
+
+    ASSUMED: the PDU has less than 4096 octets (no escape in the first frame).
+    """
+    kind = frame_kind(data)
+    if kind is None or kind == FLOW_CONTROL:
+        return 0
+    return len(data) - (2 if kind == FIRST else 1)
+
+
+def single_frame_bytes(frame_bytes: int, fd: bool) -> int:
+    """The longest PDU that is a single frame, which no flow control answers (9.6.2)."""
+    return frame_bytes - (2 if fd else 1)
 
 
 def encode_separation_time(separation_time_us: int) -> int:

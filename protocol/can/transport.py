@@ -14,7 +14,6 @@ Functional addressing, extended and mixed addresses are not used here: each side
 from __future__ import annotations
 
 from ..errors import LocalProtocolError
-from ..pus.enumerations import TransferFailure
 from .frames import CanFrame
 from .receiving import Receiver
 from .sending import Sender
@@ -34,6 +33,7 @@ from .transfer import (
     ReceptionFailed,
     TransmissionFailed,
 )
+from .vocabulary import TransferFailure
 
 __all__ = [
     "FrameIgnored",

@@ -1,69 +1,50 @@
 """Numbers with a name that travel on the wire.
 
-Each member's meaning stands in ``MEANINGS`` below; the interface control document prints both.
+Those of the unit itself (modes, reasons, causes) are the firmware's, those of the bus are CAN's; the rest is
+the language's own. Each member's meaning stands in ``MEANINGS``; the interface control document prints both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from enum import Enum, IntEnum, IntFlag
+from enum import Enum, IntEnum
 
+from ...firmware_model.causes import (
+    CAUSE_MEANINGS,
+    FaultCause,
+    FrameDropCause,
+    ResetCause,
+    SelfTest,
+    StoreInvalidCause,
+)
+from ...firmware_model.modes import MODE_MEANINGS, Mode
+from ...firmware_model.reasons import REASON_MEANINGS, Reason
+from ..can.vocabulary import CAN_MEANINGS, CanState, TransferFailure
 
-class Mode(IntEnum):
-    """Operating mode of the unit."""
-
-    BOOT = 0
-    SELF_TEST = 1
-    STANDBY = 2
-    LOST_IN_SPACE = 3
-    TRACKING = 4
-    FAULT = 5
-    OFF = 6
-
-
-class Reason(IntFlag):
-    """Why an attitude is not valid (a bit each; 0 when it is valid)."""
-
-    TOO_FEW_STARS = 1
-    NO_MATCH = 2
-    BLINDED = 4
-    RATE_TOO_HIGH = 8
-    OVERRUN = 16
-    NOT_ACQUIRING = 32
-    FRAME_DROPPED = 64
-    PIVOT_LOST = 128
-    RESIDUAL_TOO_LARGE = 256
-    AMBIGUOUS = 512
-    WORK_LIMIT = 1024
-    NO_FRAME = 2048
-    TOO_MANY_SPOTS = 4096
-    UNCONFIRMED = 8192
-
-
-class CanState(IntEnum):
-    """State of the unit's CAN controller (ISO 11898-1, fault confinement)."""
-
-    ERROR_ACTIVE = 0
-    ERROR_PASSIVE = 1
-    BUS_OFF = 2
-    NOT_USED = 3
-
-
-class TransferFailure(IntEnum):
-    """Why a transfer by ISO-TP (ISO 15765-2) failed, or a frame of it was ignored."""
-
-    TIMEOUT_A = 1
-    TIMEOUT_BS = 2
-    TIMEOUT_CR = 3
-    WRONG_SEQUENCE = 4
-    UNEXPECTED_PDU = 5
-    INVALID_FLOW_STATUS = 6
-    WAIT_LIMIT = 7
-    RECEIVER_OVERFLOW = 8
-    TOO_LONG = 9
-    BAD_LENGTH = 10
-    BAD_PCI = 11
-    ABORTED = 12
+__all__ = [
+    "MEANINGS",
+    "CanState",
+    "EventId",
+    "EventSeverity",
+    "FailureCode",
+    "FaultCause",
+    "FrameDropCause",
+    "FramingReason",
+    "FunctionId",
+    "HousekeepingId",
+    "MalformedReason",
+    "Meanings",
+    "MemoryId",
+    "Mode",
+    "ParameterId",
+    "Reason",
+    "ResetCause",
+    "ResetKind",
+    "SelfTest",
+    "StoreInvalidCause",
+    "TimeStatus",
+    "TransferFailure",
+]
 
 
 class FailureCode(IntEnum):
@@ -228,6 +209,7 @@ class MemoryId(IntEnum):
     RAM = 1
     NON_VOLATILE = 2
     IMAGE = 3
+    PROGRAM = 4
 
 
 class TimeStatus(IntEnum):
@@ -239,60 +221,11 @@ class TimeStatus(IntEnum):
     SET = 1
 
 
-class ResetCause(IntEnum):
-    """Why the unit started."""
-
-    POWER_ON = 0
-    WARM_RESET = 1
-    COLD_RESET = 2
-    WATCHDOG = 3
-    FAULT = 4
-
-
 class ResetKind(IntEnum):
     """Argument of function RESET."""
 
     WARM = 0
     COLD = 1
-
-
-class FrameDropCause(IntEnum):
-    """Cause in event FRAME_DROPPED."""
-
-    OVERRUN = 0
-    PROCESSOR_BUSY = 1
-    NO_FRAME_FROM_SENSOR = 2
-
-
-class SelfTest(IntFlag):
-    """Parts of the self-test that failed (a bit each; 0 when all passed)."""
-
-    PROCESSOR = 1
-    MEMORY = 2
-    PARAMETER_STORE = 4
-    CATALOGUE = 8
-    SENSOR = 16
-    CLOCK = 32
-
-
-class FaultCause(IntEnum):
-    """Cause in event FAULT_ENTERED."""
-
-    SELF_TEST_FAILED = 1
-    SENSOR_LOST = 2
-    PROCESSOR_OVERLOADED = 3
-    CATALOGUE_DAMAGED = 4
-    COMMANDED = 5
-
-
-class StoreInvalidCause(IntEnum):
-    """Cause in event PARAMETER_STORE_INVALID."""
-
-    ABSENT = 1
-    TRUNCATED = 2
-    BAD_CHECKSUM = 3
-    OUT_OF_RANGE = 4
-    OTHER_UNIT = 5
 
 
 _FAILURE_OF_MALFORMED: dict[MalformedReason, FailureCode] = {
@@ -316,27 +249,10 @@ _FAILURE_OF_MALFORMED: dict[MalformedReason, FailureCode] = {
 }
 
 _MEANINGS: tuple[tuple[Enum, str], ...] = (
-    (Mode.BOOT, "initialising after power-on or reset; no attitude"),
-    (Mode.SELF_TEST, "testing itself; no attitude"),
-    (Mode.STANDBY, "waiting for a command; frames are not processed"),
-    (Mode.LOST_IN_SPACE, "looking for the attitude over the whole sky, without any prior"),
-    (Mode.TRACKING, "following the stars in detection windows from frame to frame"),
-    (Mode.FAULT, "stopped by a fault; only a reset or a self-test leads out"),
-    (Mode.OFF, "shut down; nothing is sent until power is cycled"),
-    (Reason.TOO_FEW_STARS, "fewer spots or identified stars than the solution needs"),
-    (Reason.NO_MATCH, "enough spots, but no consistent identification"),
-    (Reason.BLINDED, "background above the limit of parameter blinded_background_dn"),
-    (Reason.RATE_TOO_HIGH, "angular rate above what the detection windows cover"),
-    (Reason.OVERRUN, "a frame needed more cycles than its budget and this one was dropped for it"),
-    (Reason.NOT_ACQUIRING, "the mode does not process frames"),
-    (Reason.FRAME_DROPPED, "the frame was dropped before processing"),
-    (Reason.PIVOT_LOST, "no star could serve as pivot for the verification of the windows"),
-    (Reason.RESIDUAL_TOO_LARGE, "residual of the attitude solution above the tolerance"),
-    (Reason.AMBIGUOUS, "more than one consistent identification"),
-    (Reason.WORK_LIMIT, "the search was cut off at its work limit"),
-    (Reason.NO_FRAME, "the sensor delivered no frame"),
-    (Reason.TOO_MANY_SPOTS, "more spots than the unit handles"),
-    (Reason.UNCONFIRMED, "stars were identified, but too few of them to be sure"),
+    *MODE_MEANINGS.items(),
+    *REASON_MEANINGS.items(),
+    *CAN_MEANINGS,
+    *CAUSE_MEANINGS,
     (FailureCode.UNKNOWN_APID, "no application process of this APID here (reported by 1,10); data: the APID"),
     (FailureCode.LENGTH, "packet too short, too long or not of the length it states; data: bytes received"),
     (FailureCode.CRC, "packet error control does not match; data: CRC received"),
@@ -391,22 +307,6 @@ _MEANINGS: tuple[tuple[Enum, str], ...] = (
     (HousekeepingId.LINK, "counters of the command link"),
     (HousekeepingId.TIMING, "processor cycles of the last frame by stage"),
     (HousekeepingId.CAN, "CAN controller, bus load and transfers"),
-    (CanState.ERROR_ACTIVE, "takes part in everything on the bus"),
-    (CanState.ERROR_PASSIVE, "an error counter is above 127: it no longer stops the frames of others"),
-    (CanState.BUS_OFF, "the transmit error counter is above 255: it sends and receives nothing"),
-    (CanState.NOT_USED, "the unit is on its serial line, or off"),
-    (TransferFailure.TIMEOUT_A, "N_As or N_Ar: the controller did not get the frame onto the bus"),
-    (TransferFailure.TIMEOUT_BS, "N_Bs: no flow control came"),
-    (TransferFailure.TIMEOUT_CR, "N_Cr: no consecutive frame came"),
-    (TransferFailure.WRONG_SEQUENCE, "sequence number of a consecutive frame is not the next one"),
-    (TransferFailure.UNEXPECTED_PDU, "a frame that does not belong to what is under way"),
-    (TransferFailure.INVALID_FLOW_STATUS, "flow control with a reserved flow status"),
-    (TransferFailure.WAIT_LIMIT, "more flow control frames WAIT than allowed"),
-    (TransferFailure.RECEIVER_OVERFLOW, "flow control OVFLW: the receiver has no room for the packet"),
-    (TransferFailure.TOO_LONG, "first frame of more bytes than the receive buffer has"),
-    (TransferFailure.BAD_LENGTH, "a length that the frame cannot have"),
-    (TransferFailure.BAD_PCI, "reserved protocol control information"),
-    (TransferFailure.ABORTED, "given up by a reset"),
     (EventSeverity.INFO, "informative"),
     (EventSeverity.LOW, "low severity anomaly"),
     (EventSeverity.MEDIUM, "medium severity anomaly"),
@@ -414,37 +314,11 @@ _MEANINGS: tuple[tuple[Enum, str], ...] = (
     (MemoryId.RAM, "working memory: loadable scratch area"),
     (MemoryId.NON_VOLATILE, "non-volatile memory: the stored parameters"),
     (MemoryId.IMAGE, "the captured image, read-only"),
+    (MemoryId.PROGRAM, "program memory, copied anew at each start; a load damages what its check expects"),
     (TimeStatus.FREE_RUNNING, "time counts from power-on or the last cold reset; it has not been set since"),
     (TimeStatus.SET, "time has been set, by telecommand 9,128 or by time_at_sync; a warm reset keeps it"),
-    (ResetCause.POWER_ON, "power was applied"),
-    (ResetCause.WARM_RESET, "function RESET, warm"),
-    (ResetCause.COLD_RESET, "function RESET, cold"),
-    (ResetCause.WATCHDOG, "watchdog expired (reserved: nothing raises it so far)"),
-    (ResetCause.FAULT, "restart after a fault (reserved: nothing raises it so far)"),
     (ResetKind.WARM, "restart the software; the on-board time and the counters of housekeeping are kept"),
     (ResetKind.COLD, "restart as after power-on: the on-board time and the counters start from 0"),
-    (FrameDropCause.OVERRUN, "at its read-out the processor was still busy with an earlier frame"),
-    (
-        FrameDropCause.PROCESSOR_BUSY,
-        "not exposed: the processor was still busy with an earlier frame (parameter pipelined 0)",
-    ),
-    (FrameDropCause.NO_FRAME_FROM_SENSOR, "the sensor delivered no frame"),
-    (SelfTest.PROCESSOR, "processor test (reserved: nothing raises it so far)"),
-    (SelfTest.MEMORY, "working memory test"),
-    (SelfTest.PARAMETER_STORE, "stored parameters are damaged"),
-    (SelfTest.CATALOGUE, "star catalogue checksum"),
-    (SelfTest.SENSOR, "image sensor gives no frame"),
-    (SelfTest.CLOCK, "clock out of tolerance (reserved: nothing raises it so far)"),
-    (FaultCause.SELF_TEST_FAILED, "the self-test failed"),
-    (FaultCause.SENSOR_LOST, "no frames from the sensor (reserved: nothing raises it so far)"),
-    (FaultCause.PROCESSOR_OVERLOADED, "every frame overruns (reserved: nothing raises it so far)"),
-    (FaultCause.CATALOGUE_DAMAGED, "star catalogue damaged (reserved: nothing raises it so far)"),
-    (FaultCause.COMMANDED, "fault injected by the bench (reserved: nothing raises it so far)"),
-    (StoreInvalidCause.ABSENT, "nothing stored"),
-    (StoreInvalidCause.TRUNCATED, "stored record is cut short"),
-    (StoreInvalidCause.BAD_CHECKSUM, "stored record's checksum does not match"),
-    (StoreInvalidCause.OUT_OF_RANGE, "a stored value is outside its range"),
-    (StoreInvalidCause.OTHER_UNIT, "stored by a unit of another type or version"),
 )
 
 

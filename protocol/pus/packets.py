@@ -218,6 +218,37 @@ class Malformed:
     header: PacketHeader | None = None
     request_id: RequestId | None = None
 
+    def _second(self, name: str) -> int:
+        second = self.raw[PRIMARY_HEADER_BYTES : PRIMARY_HEADER_BYTES + TELECOMMAND_SECONDARY_HEADER_BYTES]
+        if len(second) < TELECOMMAND_SECONDARY_HEADER_BYTES:
+            return 0
+        return TELECOMMAND_SECONDARY_HEADER.decode(second)[name]
+
+    @property
+    def service(self) -> int:
+        """Of a telecommand, as its octets say; 0 when they are too few."""
+        return self._second("service")
+
+    @property
+    def subservice(self) -> int:
+        """Of a telecommand, as its octets say; 0 when they are too few."""
+        return self._second("subservice")
+
+    @property
+    def source_id(self) -> int:
+        """Of a telecommand, as its octets say; 0 when they are too few."""
+        return self._second("source_id")
+
+
+def error_controlled_bytes(raw: bytes) -> int:
+    """Over how many octets a receiver computes the error control: all, or none where the packet is not as
+    long as its own header says.
+    """
+    if len(raw) < PRIMARY_HEADER_BYTES:
+        return 0
+    declared = PRIMARY_HEADER_BYTES + PacketHeader.from_bytes(raw).data_length + 1
+    return declared if len(raw) == declared else 0
+
 
 def space_packet(packet_type: int, apid: int, sequence_count: int, data: bytes) -> bytes:
     """A whole space packet with secondary header flag set and unsegmented, its packet error control appended.

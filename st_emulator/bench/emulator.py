@@ -1,10 +1,9 @@
-"""The emulator: a unit, its line and its world on one virtual clock. Sans-IO: bytes and times in, bytes out.
+"""The emulator: a device behind its dialect and wire, in its world, on one virtual clock. Sans-IO: bytes and
+times in, bytes out.
 
 Whoever drives it (the real-time pacer, a run as fast as possible, a test, an outside simulator) calls
-:meth:`advance`
-with a virtual time and :meth:`receive` with bytes; transmitted bytes come by callback at the virtual time
-at which their
-last bit has left the unit.
+:meth:`Emulator.advance` with a virtual time and :meth:`Emulator.receive` with bytes; transmitted bytes come
+by callback at the virtual time at which their last bit has left the unit.
 """
 
 from __future__ import annotations
@@ -17,22 +16,23 @@ from pathlib import Path
 from typing import Any
 
 from ..clock import VirtualClock
-from ..device.calibration import scene_of, star_tables
 from ..device.imaging import FrameRecord, FrameSource, Lazy, Submit
 from ..device.star_tracker import StarTracker
 from ..device.store import Store, StoreContents, VolatileStore
+from ..dialects.dialect import CanWire, Dialect, SerialWire
+from ..dialects.registry import dialect_of, settings_of
+from ..errors import ConfigurationError
+from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile
 from ..wire.can.bus import Disturbance
-from ..wire.can.port import CanPort
 from ..wire.can.wiring import CanWiring
-from ..wire.port import UnitPort
-from ..wire.slip_port import SlipPort
 from ..world.recorded import RecordedFrames
 from ..world.scene import RenderedFrame, SceneRenderer
-from ..world.time_scales import tai_ns_from_utc
 from .journal import JournalWriter, TextSink
 from .scenario import Scenario
-from .scenario_inputs import packets_of, parameters_of, telecommands_of
+from .scenario_inputs import parameters_of, telecommands_of
+from .star_tables import star_tables
+from .world_of import scene_of
 
 
 class RecordedSource:
@@ -109,10 +109,9 @@ class Emulator:
             source = RecordedSource(frames, hold)
         else:
             source = self.scene = scene_of(profile, self.scenario, self.seed, self.start_tai_ns)
-        self.unit = StarTracker(
+        self.device = StarTracker(
             profile,
             self.clock,
-            self._port,
             source,
             star_tables(profile),
             self._store,
@@ -124,8 +123,11 @@ class Emulator:
         self._journal: JournalWriter | None = None
         if journal is not None:
             self._journal = JournalWriter(journal, self._header(frames))
-        self._telecommands = deque(telecommands_of(self.scenario, profile.apid))
-        self.unit.power_on()
+        self._telecommands = deque(telecommands_of(profile, self.scenario))
+        self._sender = dialect_of(profile).sender(profile, settings_of(profile), can)
+        self.dialect = self._dialect()
+        self.device.speak_through(self.dialect)
+        self.device.power_on()
 
     # -- driving it
     # ------------------------------------------------------------------------------------------------
@@ -136,40 +138,35 @@ class Emulator:
 
     def next_event_ns(self) -> int | None:
         """Virtual time of the next event."""
-        due_ns = self.clock.next_ns()
-        if not self._telecommands:
-            return due_ns
-        return self._telecommands[0][0] if due_ns is None else min(due_ns, self._telecommands[0][0])
+        due_ns = [self.clock.next_ns(), self._sender.next_ns()]
+        if self._telecommands:
+            due_ns.append(self._telecommands[0].at_ns)
+        return min((max(t_ns, self.now_ns) for t_ns in due_ns if t_ns is not None), default=None)
 
     def advance(self, until_ns: int) -> None:
         """Let virtual time go on to ``until_ns``."""
         # The scenario's telecommands come in as an OBC's do, behind whatever else is due at their time: so a
         # replay of the journal, which holds them like any others, is the same run.
-        while self._telecommands and self._telecommands[0][0] <= until_ns:
-            at_ns, data = self._telecommands.popleft()
-            self.clock.advance(at_ns)
-            if self.can is None:
+        while self._scenario_speaks():
+            due_ns = self.next_event_ns()
+            if due_ns is None or due_ns > until_ns:
+                break
+            self.clock.advance(due_ns)
+            while self._telecommands and self._telecommands[0].at_ns <= due_ns:
+                self._telecommands.popleft().send(self._sender)
+            for data in self._sender.poll(due_ns):
                 self.receive(data)
-            else:
-                for packet in packets_of(data):
-                    self.receive_packet(packet)
         self.clock.advance(until_ns)
+
+    def _scenario_speaks(self) -> bool:
+        return bool(self._telecommands) or self._sender.next_ns() is not None
 
     def receive(self, data: bytes) -> None:
         """The OBC put ``data`` on the line at the present virtual time."""
         if data:
             if self._journal is not None:
                 self._journal.write(self.clock.now_ns, "rx", data)
-            self.unit.port.arrive(data)
-
-    def receive_packet(self, packet: bytes) -> None:
-        """A telecommand of the scenario on a CAN bus: it enters behind the transport, for there is no OBC on
-        the bus that could answer the unit's flow control.
-        """
-        if self._journal is not None:
-            self._journal.write(self.clock.now_ns, "packet", packet)
-        if self.unit.listening:
-            self.unit.packet_received(packet, self.clock.now_ns)
+            self.dialect.arrive(data)
 
     def flush(self) -> None:
         """Write out what the journal and the truth file hold back."""
@@ -187,13 +184,26 @@ class Emulator:
     # -- inside
     # ----------------------------------------------------------------------------------------------------
 
-    def _port(self, unit: StarTracker) -> UnitPort:
-        if self.can is None:
-            return SlipPort(
-                self.clock, self.baud, self._transmitted, unit, pace_reception=self._pace_reception
-            )
-        settings = self.can.port_settings(self.profile.can)
-        return CanPort(self.clock, settings, self._transmitted, unit, self._disturbance)
+    def _dialect(self) -> Dialect:
+        """The dialect on its wire.
+
+        Raises:
+            ConfigurationError: the language has no such wire.
+        """
+        definition, settings = dialect_of(self.profile), settings_of(self.profile)
+        if self.can is not None:
+            if definition.on_can is None:
+                raise ConfigurationError(
+                    f"dialect {definition.name}: has no CAN bus; allowed is a serial line"
+                )
+            wire = CanWire(self.clock, self.can, self._transmitted, self._disturbance)
+            made: Dialect = definition.on_can(self.device, wire, settings)
+            return made
+        if definition.on_serial is None:
+            raise ConfigurationError(f"dialect {definition.name}: knows no serial line; give a CAN bus")
+        line = SerialWire(self.clock, self.baud, self._transmitted, self._pace_reception)
+        made = definition.on_serial(self.device, line, settings)
+        return made
 
     def _transmitted(self, data: bytes) -> bool:
         """Whether the link took it; what a CAN link does not take now is offered again."""
@@ -201,6 +211,8 @@ class Emulator:
         refused = self.can is not None and taken is not None and taken < len(data)
         if self._journal is not None:
             self._journal.write(self.clock.now_ns, "refused" if refused else "tx", data)
+        if not refused:
+            self._sender.take(data, self.clock.now_ns)
         return not refused
 
     def _frame_exposed(self, record: FrameRecord) -> None:

@@ -1,13 +1,10 @@
 """The journal: the raw bytes of both directions with their virtual times, as JSON lines.
 
 First line: what was run (format, unit file, scenario, seed, stored parameters), so that a journal can be
-replayed alone.
-Then one line a group of bytes: ``{"t_ns": 1234, "rx": "c0..."}`` when the OBC's bytes were put on the
-line, ``"tx"``
-when the unit's last bit of the group has left. On a CAN bus a group is the record of a frame (see
-``protocol.can.frames``); ``"refused"`` is one that the link did not take, ``"packet"`` a telecommand of the
-scenario. It holds virtual times only: the same run gives the same
-file at any speed.
+replayed alone. Then one line a group of bytes: ``{"t_ns": 1234, "rx": "c0..."}`` when the OBC's bytes were put
+on the line, ``"tx"`` when the unit's last bit of the group has left. On a CAN bus a group is the record of a
+frame (see ``protocol.can.frames``); ``"refused"`` is one that the link did not take. It holds virtual times
+only: the same run gives the same file at any speed.
 """
 
 from __future__ import annotations
@@ -21,7 +18,7 @@ from typing import Any, Protocol
 from ..errors import ConfigurationError
 
 FORMAT = "st-emulator journal 1"
-DIRECTIONS = ("rx", "tx", "packet", "refused")
+DIRECTIONS = ("rx", "tx", "refused")
 
 
 class TextSink(Protocol):
@@ -35,8 +32,7 @@ class TextSink(Protocol):
 @dataclass(frozen=True)
 class JournalEntry:
     """Bytes of one direction: ``direction`` is "rx" (to the unit) or "tx" (from the unit); on a CAN bus also
-    "packet" (a telecommand of the scenario, to the unit) and "refused" (from the unit, not taken by the
-    link).
+    "refused" (from the unit, not taken by the link).
     """
 
     t_ns: int
@@ -108,6 +104,11 @@ def read_journal(path: str | Path) -> Journal:
             if "end" in item:
                 ended = True
                 continue
+            if "packet" in item:
+                raise ConfigurationError(
+                    f"{path}: line {number}: recorded when a scenario's telecommands on a CAN bus came in "
+                    "behind the transport; allowed are journals recorded anew"
+                )
             direction = next((name for name in DIRECTIONS if name in item), "rx")
             entries.append(JournalEntry(int(item["t_ns"]), direction, bytes.fromhex(item[direction])))
         except (KeyError, ValueError, TypeError) as error:

@@ -2,63 +2,62 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from ..clock import NS_PER_S
-from ..device.calibration import camera_model, processor_profile, trajectory_of
-from ..device.parameters import BY_NAME
+from ..device.calibration import processor_profile
+from ..dialects.dialect import ScenarioSender
+from ..dialects.registry import dialect_of, settings_of
 from ..errors import ConfigurationError
-from ..naming import resolve_fields
+from ..firmware_model.parameter_table import PARAMETERS_BY_NAME
 from ..protocol.errors import LocalProtocolError
-from ..protocol.framing import END, FrameReceived, SlipDecoder, slip_encode
-from ..protocol.pus.registry import encode_telecommand
+from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile
-from ..world.time_scales import tai_ns_from_utc
-from .scenario import Scenario, ScenarioTelecommand
-
-SCENARIO_SOURCE_ID = 0x5C  # the source of a scenario's own telecommands, apart from any OBC's
+from .scenario import Scenario
+from .world_of import camera_model, trajectory_of
 
 
-def telecommands_of(scenario: Scenario, apid: int) -> list[tuple[int, bytes]]:
-    """(virtual time in ns, bytes of the line) of each telecommand, in the order of time.
+@dataclass(frozen=True)
+class TimedTelecommand:
+    """A telecommand of a scenario at a virtual time: a message of the unit's dialect, or raw octets."""
+
+    at_ns: int
+    octets: bytes
+    raw: bool
+
+    def send(self, sender: ScenarioSender) -> None:
+        """It is due."""
+        if self.raw:
+            sender.send_raw(self.octets, self.at_ns)
+        else:
+            sender.send(self.octets, self.at_ns)
+
+
+def telecommands_of(profile: UnitProfile, scenario: Scenario) -> list[TimedTelecommand]:
+    """The telecommands in the order of time, in the unit's dialect.
 
     Their sequence counts are in that order as well; telecommands of one time stay in the order of the file.
 
     Raises:
         ConfigurationError: names the scenario, the telecommand, the field and what is allowed.
     """
+    definition, settings = dialect_of(profile), settings_of(profile)
     in_order = sorted(enumerate(scenario.telecommands), key=lambda numbered: numbered[1].at_s)
     inputs = []
     count = 0
     for number, item in in_order:
-        inputs.append((round(item.at_s * NS_PER_S), _bytes_of(scenario, number, item, apid, count)))
-        count += item.raw_hex is None
+        at_ns = round(item.at_s * NS_PER_S)
+        if item.raw_hex is not None:
+            inputs.append(TimedTelecommand(at_ns, bytes.fromhex(item.raw_hex), raw=True))
+            continue
+        assert item.name is not None  # the scenario's own validation sees to it
+        try:
+            message = definition.encode(profile, settings, item.name, item.fields, count)
+        except LocalProtocolError as error:
+            raise ConfigurationError(f"{scenario.where}: telecommands.{number}: {error}") from error
+        inputs.append(TimedTelecommand(at_ns, message, raw=False))
+        count += 1
     return inputs
-
-
-def _bytes_of(
-    scenario: Scenario, number: int, telecommand: ScenarioTelecommand, apid: int, count: int
-) -> bytes:
-    if telecommand.raw_hex is not None:
-        return bytes.fromhex(telecommand.raw_hex)
-    assert telecommand.name is not None  # the scenario's own validation sees to it
-    try:
-        fields = resolve_fields(telecommand.name, telecommand.fields)
-        packet = encode_telecommand(
-            telecommand.name,
-            fields,
-            apid=apid,
-            sequence_count=count & 0x3FFF,
-            source_id=SCENARIO_SOURCE_ID,
-        )
-    except LocalProtocolError as error:
-        raise ConfigurationError(f"{scenario.where}: telecommands.{number}: {error}") from error
-    return slip_encode(packet)
-
-
-def packets_of(line: bytes) -> list[bytes]:
-    """The packets in bytes of the serial line, for another wire. What is no frame there is none here."""
-    decoder = SlipDecoder(len(line) + 1)
-    events = decoder.receive(line + bytes([END]), 0)
-    return [event.data for event in events if isinstance(event, FrameReceived)]
 
 
 def parameters_of(scenario: Scenario) -> dict[str, float | int]:
@@ -69,16 +68,16 @@ def parameters_of(scenario: Scenario) -> dict[str, float | int]:
     """
     parameters = {}
     for name, value in scenario.parameters.items():
-        definition = BY_NAME.get(name)
+        definition = PARAMETERS_BY_NAME.get(name)
         if definition is None or definition.read_only:
-            allowed = ", ".join(item.name for item in BY_NAME.values() if not item.read_only)
+            allowed = ", ".join(item.name for item in PARAMETERS_BY_NAME.values() if not item.read_only)
             raise ConfigurationError(
                 f"{scenario.where}: parameters.{name}: is not a parameter to set; allowed are {allowed}"
             )
         try:
-            parameters[name] = definition.as_carried(value)
-        except LocalProtocolError as error:
-            raise ConfigurationError(f"{scenario.where}: parameters.{name}: {error}") from error
+            parameters[name] = definition.stored(value)
+        except ValueError as error:
+            raise ConfigurationError(f"{scenario.where}: parameters.{error}") from error
     return parameters
 
 
@@ -90,7 +89,7 @@ def check_inputs(profile: UnitProfile, scenario: Scenario) -> None:
     """
     camera_model(profile)
     processor_profile(profile)
-    telecommands_of(scenario, profile.apid)
+    telecommands_of(profile, scenario)
     parameters_of(scenario)
     try:
         trajectory_of(scenario, tai_ns_from_utc(scenario.start_utc))

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..device.calibration import firmware_configuration, star_tables
+from ..bench.star_tables import star_tables
+from ..device.calibration import firmware_configuration
 from ..firmware_model.catalogue.pairs import PairCatalogue
 from ..firmware_model.catalogue.tables import StarTables
 from ..firmware_model.configuration import FirmwareConfiguration

@@ -10,8 +10,8 @@ from ..bench.scenario import EarthFixedTrajectory, Scenario, ScenarioTelecommand
 from ..clock import NS_PER_S
 from ..obc.listening import TelemetryListener
 from ..report import check
+from ..tai import tai_ns_from_utc
 from ..world import quaternion
-from ..world.time_scales import tai_ns_from_utc
 from .bench import STARS_ONLY
 from .campaign import CampaignRequest, CampaignResult
 

@@ -28,10 +28,10 @@ from ..obc import Attitude, Obc, ObcError, TelemetryTimeout
 from ..obc.listening import TelemetryListener
 from ..protocol.pus.enumerations import EventId, Mode
 from ..report import Check, all_hold, check, require_json_path, show_checks, show_figures, write_json
+from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile, load_unit
 from ..units.validation import validate
 from ..world import quaternion
-from ..world.time_scales import tai_ns_from_utc
 
 ARCSEC_PER_RAD = 180 / np.pi * 3600
 SLEW_SHARE = (0.55, 0.8)  # of the run

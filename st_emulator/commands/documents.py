@@ -9,7 +9,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ..dialects.pus.services import ALLOWED_MODES, allowed_modes
+from ..dialects.pus.dialect import SERVED
+from ..dialects.pus.services.functions import allowed_modes
 from ..errors import ConfigurationError
 from ..firmware_model.modes import TRANSITIONS, Mode
 from ..protocol.errors import LocalProtocolError
@@ -50,7 +51,10 @@ a write buffer that fills up. Elsewhere: temperature (a constant); the vendor's 
 **Memories** (service 6): RAM, a patch area of 65536 bytes, readable and writable; NON_VOLATILE, 2048
 bytes, the parameters that differ from the factory values as JSON text and zeros behind, read only;
 IMAGE, the captured image with its header as in service 13, read only, absent until an image is
-captured.
+captured; PROGRAM, 131072 bytes that stand for the software, readable and writable, copied from its store
+at each start. While the unit runs, all its memories come round to be checked within two seconds: a
+program or catalogue that is not what was loaded leads to FAULT, and so do two seconds without a frame
+from a sensor that was asked for one.
 
 **Telemetry queue.** 32768 bytes wait for the line at most, 16384 more are kept for services 1 and 5. A
 packet that finds no room is lost as a whole; its sequence count and message type counter are used up,
@@ -93,7 +97,11 @@ def mode_table() -> list[list[str]]:
 def telecommand_modes() -> str:
     """The modes in which each telecommand and function is allowed, as a Markdown table."""
     rows = ["| telecommand | allowed in |", "|---|---|"]
-    rows += [f"| {name} | {_modes(modes)} |" for name, modes in ALLOWED_MODES.items() if name != "function"]
+    rows += [
+        f"| {name} | {_modes(served.modes_for({}))} |"
+        for name, served in SERVED.items()
+        if name != "function"
+    ]
     rows += [f"| function {function.name} | {_modes(allowed_modes(function))} |" for function in FunctionId]
     return "\n".join(rows) + "\n"
 

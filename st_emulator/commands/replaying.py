@@ -86,13 +86,10 @@ def feed(emulator: Emulator, journal: Journal, until_ns: int | None = None) -> N
     """Give the received bytes at their times, and run to the journal's end (or ``until_ns``)."""
     end_ns = journal.end_ns if until_ns is None else until_ns
     for entry in journal.entries:
-        if entry.direction not in ("rx", "packet") or entry.t_ns > end_ns:
+        if entry.direction != "rx" or entry.t_ns > end_ns:
             continue
         emulator.advance(entry.t_ns)
-        if entry.direction == "rx":
-            emulator.receive(entry.data)
-        else:
-            emulator.receive_packet(entry.data)
+        emulator.receive(entry.data)
     emulator.advance(end_ns)
 
 

@@ -25,7 +25,6 @@ from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
 from ..links import Link, LinkSpecification, open_link, parse_link
 from ..units.profile import UnitProfile, load_unit
-from ..wire.can.port import CanPort
 from ..wire.can.wiring import CanWiring
 from ..world.recorded import RecordedFrames
 from .output_file import OutputFile
@@ -139,7 +138,7 @@ class _Watch:
 
     def __call__(self) -> None:
         self._emulator.flush()
-        off = self._emulator.unit.mode == Mode.OFF
+        off = self._emulator.device.mode == Mode.OFF
         if off and not self._off:
             self._console.print("the unit is off: nothing is sent any more (Ctrl-C ends)")
         self._off = off
@@ -230,11 +229,11 @@ def run_unit(options: RunOptions) -> None:
                 )
         finally:
             emulator.close()
-        unit = emulator.unit
+        counters, dialect = emulator.device.frame_counters, emulator.dialect
         console.print(
-            f"stopped at {emulator.now_ns / NS_PER_S:.3f} s: {unit.frame_counters.frames_processed} frames, "
-            f"{unit.frame_counters.frames_valid} valid, {unit.link_counters.tc_received} telecommands, "
-            f"{unit.transmitter.packets} telemetry packets"
+            f"stopped at {emulator.now_ns / NS_PER_S:.3f} s: {counters.frames_processed} frames, "
+            f"{counters.frames_valid} valid, {dialect.messages_received} telecommands, "
+            f"{dialect.messages_sent} telemetry packets"
         )
 
 
@@ -244,15 +243,6 @@ def wiring_of(specification: LinkSpecification, link: Link, node: int | None) ->
         return None
     hardware = bool(getattr(link, "hardware", False))
     return CanWiring(specification.bitrate, specification.fd, node, hardware)
-
-
-def _wire_text(emulator: Emulator) -> str:
-    port = emulator.unit.port
-    if not isinstance(port, CanPort):
-        return f"{emulator.baud} baud"
-    settings = port.settings
-    fd = f" (CAN FD, data {settings.bus.data_bitrate} bit/s)" if settings.fd else ""
-    return f"{settings.bus.bitrate} bit/s{fd}, node {settings.identifiers.node}"
 
 
 def _announce(
@@ -268,7 +258,7 @@ def _announce(
     rate_hz = 1000 / profile.timing.frame_period_ms
     console.print(f"[bold]{escape(profile.unit.title)}[/]")
     console.print(
-        f"link {escape(link.name)}, {_wire_text(emulator)}, APID {profile.apid}, frames at {rate_hz:g} Hz, "
+        f"link {escape(link.name)}, {emulator.dialect.where()}, frames at {rate_hz:g} Hz, "
         f"seed {emulator.seed}"
     )
     console.print(f"world: from {emulator.scenario.start_utc:%Y-%m-%dT%H:%M:%SZ}")

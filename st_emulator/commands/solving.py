@@ -9,7 +9,8 @@ from rich.console import Console
 
 from ..bench.scenario import Scenario
 from ..bench.scenario_inputs import check_inputs
-from ..device.calibration import firmware_configuration, processor_profile, star_tables
+from ..bench.star_tables import star_tables
+from ..device.calibration import firmware_configuration, processor_profile
 from ..device.parameters import default_parameters
 from ..firmware_model.firmware import FirmwareState, FrameContext, process_frame
 from ..firmware_model.modes import Mode

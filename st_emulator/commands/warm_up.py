@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..bench.emulator import Emulator
 from ..bench.scenario import Scenario, ScenarioTelecommand, Sky
-from ..device.calibration import star_tables
+from ..bench.star_tables import star_tables
 from ..units.profile import UnitProfile
 
 WARM_UP_S = 2.6

@@ -18,14 +18,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from ..clock import NS_PER_S, NS_PER_US, VirtualClock
+from ..clock import NS_PER_S, NS_PER_US, ScheduledEvent, VirtualClock
+from ..firmware_model.causes import FrameDropCause
 from ..firmware_model.configuration import FirmwareConfiguration, StarTables
 from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
 from ..firmware_model.image.frame import Frame
 from ..firmware_model.modes import Mode
 from ..firmware_model.processor import CycleReport, ProcessorProfile
 from ..firmware_model.work import Work
-from ..protocol.pus.enumerations import FrameDropCause
 
 
 class FrameSource(Protocol):
@@ -103,6 +103,10 @@ class ImagingClient(Protocol):
 
     def frame_settings(self) -> FrameSettings: ...
 
+    @property
+    def tables(self) -> StarTables:
+        """The on-board catalogue as it stands in memory."""
+
     def link_work(self) -> Work:
         """Work of telemetry and telecommands since the last call: the processor's, like the frame's."""
         ...
@@ -128,7 +132,6 @@ class Imaging:
         clock: VirtualClock,
         source: FrameSource,
         client: ImagingClient,
-        tables: StarTables,
         *,
         period_ns: int,
         readout_ns: int,
@@ -137,7 +140,6 @@ class Imaging:
         self._clock = clock
         self._source = source
         self._client = client
-        self._tables = tables
         self.period_ns = period_ns
         self._readout_ns = readout_ns
         self._submit = submit
@@ -147,14 +149,27 @@ class Imaging:
         self._previous: FrameRecord | None = None
         self._dropped_since = 0
         self._capture_wanted = False
+        self._next_tick: ScheduledEvent | None = None
         self._captures = 0  # counts captures asked for and cancelled; the read-out of an earlier one is void
 
     # -- what the unit asks for
     # ------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begin the frame grid at the present time (power-on)."""
-        self._clock.at(self._clock.now_ns, lambda: self._tick(0))
+        """Begin the frame grid at the present time (power-on); the one before is over."""
+        self.halt()
+        self._tick_at(self._clock.now_ns, 0)
+
+    def halt(self) -> None:
+        """No more frame periods (power goes)."""
+        self.stop()
+        self.cancel_capture()
+        if self._next_tick is not None:
+            self._next_tick.cancel()
+            self._next_tick = None
+
+    def _tick_at(self, at_ns: int, index: int) -> None:
+        self._next_tick = self._clock.at(at_ns, lambda: self._tick(index))
 
     def acquire(self, state: FirmwareState | None = None, acquisition: Mode = Mode.LOST_IN_SPACE) -> None:
         """Process frames from the next exposure on; frames in flight are given up."""
@@ -194,7 +209,7 @@ class Imaging:
 
     def _tick(self, index: int) -> None:
         start_ns = self._clock.now_ns
-        self._clock.at(start_ns + self.period_ns, lambda: self._tick(index + 1))
+        self._tick_at(start_ns + self.period_ns, index + 1)
         self._client.frame_started(index)
         if self._previous is None:
             self._client.link_work()  # done while the processor had nothing else to do
@@ -241,7 +256,7 @@ class Imaging:
         self._clock.at(record.readout_end_ns, lambda: self._processing_starts(record))
 
     def _compute(self, record: FrameRecord) -> None:
-        frame, state, tables = record.pixels, self._state, self._tables
+        frame, state, tables = record.pixels, self._state, self._client.tables
         assert frame is not None
         assert record.acquisition is not None
         context = FrameContext(

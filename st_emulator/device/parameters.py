@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from ..dialects.pus.reception import RejectedError
+from collections.abc import Mapping
+
+from ..firmware_model.causes import StoreInvalidCause
 from ..firmware_model.cycle_table import LINE_FILLS
-from ..protocol.pus.enumerations import FailureCode, ParameterId, StoreInvalidCause
-from ..protocol.pus.parameters import PARAMETER_TABLE
+from ..firmware_model.parameter_table import PARAMETERS_BY_NAME
 from ..units.profile import UnitProfile
 from .calibration import firmware_configuration, processor_in_force, processor_profile
+from .commands import Refusal, RefusedError
 from .counters import saturated
 from .imaging import FrameSettings
 from .store import Store, StoreContents
 
-DEFINITIONS = {int(definition.id): definition for definition in PARAMETER_TABLE}
-BY_NAME = {definition.name: definition for definition in PARAMETER_TABLE}
-BOOT_COUNT = ParameterId.BOOT_COUNT.name.lower()
+BOOT_COUNT = "boot_count"
 
 
 def default_parameters(profile: UnitProfile) -> dict[str, float | int]:
-    """Factory values by name, from the unit file, as they are after a trip over the wire."""
+    """Factory values by name, from the unit file, as the memory keeps them."""
     values: dict[str, float | int] = {
         "exposure_us": round(profile.timing.exposure_ms * 1000),
         "detection_sigma": profile.detection.sigma,
@@ -43,11 +43,14 @@ def default_parameters(profile: UnitProfile) -> dict[str, float | int]:
         "cache_kib": profile.processor.cache_kib,
         "line_fill": LINE_FILLS.index(profile.processor.line_fill),
     }
-    return {name: BY_NAME[name].as_carried(value) for name, value in values.items()}
+    return {name: PARAMETERS_BY_NAME[name].stored(value) for name, value in values.items()}
 
 
 class Parameters:
-    """The unit's parameters by name; ``boot_count`` is read only."""
+    """The unit's parameters by name; ``boot_count`` is read only.
+
+    ``fault_at_start``: why factory values are in force since the start, or None.
+    """
 
     def __init__(self, profile: UnitProfile, store: Store) -> None:
         self._profile = profile
@@ -57,23 +60,24 @@ class Parameters:
         self._processor = processor_profile(profile)
         self._settings: FrameSettings | None = None
         self.boot_count = 0
+        self.fault_at_start: StoreInvalidCause | None = None
 
-    def load(self, *, count_start: bool) -> StoreInvalidCause | None:
-        """Read the non-volatile memory; returns why factory values are used instead, or None."""
+    def load(self, *, count_start: bool) -> None:
+        """Read the non-volatile memory, as a start does."""
         contents, fault = self._store.load()
         if fault is None and not all(self._fits(name, value) for name, value in contents.parameters.items()):
             contents, fault = StoreContents(boot_count=contents.boot_count), StoreInvalidCause.OUT_OF_RANGE
         self._values = self._defaults | contents.parameters
         self._settings = None
         self.boot_count = contents.boot_count + int(count_start)
+        self.fault_at_start = fault
         if count_start:
             self._save()
-        return fault
 
     def _fits(self, name: str, value: float | int) -> bool:
         """Whether a parameter of this unit can be set to the value."""
-        definition = BY_NAME.get(name)
-        if definition is None or definition.read_only or definition.violation(value) is not None:
+        definition = PARAMETERS_BY_NAME.get(name)
+        if definition is None or definition.read_only or not definition.fits(value):
             return False
         if name == "cache_kib":
             return value in self._processor.table.caches_kib
@@ -93,26 +97,24 @@ class Parameters:
     def __getitem__(self, name: str) -> float | int:
         return saturated(self.boot_count, 16) if name == BOOT_COUNT else self._values[name]
 
-    def by_id(self, parameter_id: int) -> float | int:
-        """Value of a parameter of the table."""
-        return self[DEFINITIONS[parameter_id].name]
-
-    def check(self, settings: dict[int, float | int]) -> None:
-        """Refuse read-only settings and values that do not fit this unit."""
-        for parameter_id, value in settings.items():
-            definition = DEFINITIONS[parameter_id]
+    def check(self, values: Mapping[str, float | int]) -> None:
+        """Refuse names that there are not, read-only ones, and values that do not fit this unit."""
+        for name, value in values.items():
+            definition = PARAMETERS_BY_NAME.get(name)
+            if definition is None:
+                raise RefusedError(Refusal.UNKNOWN_ID, name)
             if definition.read_only:
-                raise RejectedError(FailureCode.READ_ONLY, parameter_id)
-            if not self._fits(definition.name, value):
-                raise RejectedError(FailureCode.OUT_OF_RANGE, parameter_id)
+                raise RefusedError(Refusal.READ_ONLY, name)
+            if not self._fits(name, value):
+                raise RefusedError(Refusal.OUT_OF_RANGE, name)
 
-    def store(self, settings: dict[int, float | int]) -> int:
+    def store(self, values: Mapping[str, float | int]) -> int:
         """Set checked values and keep them; in force at the next exposure. Returns how many were set."""
-        for parameter_id, value in settings.items():
-            self._values[DEFINITIONS[parameter_id].name] = value
+        for name, value in values.items():
+            self._values[name] = PARAMETERS_BY_NAME[name].stored(value)
         self._settings = None
         self._save()
-        return len(settings)
+        return len(values)
 
     def restore_defaults(self) -> int:
         """Factory values; returns how many changed."""

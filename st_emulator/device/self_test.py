@@ -1,103 +1,73 @@
-"""The self-test: memory, store, catalogue and sensor, a part at a time."""
+"""The self-test: memories, store, catalogue and sensor, a part at a time."""
 
 from __future__ import annotations
 
-import hashlib
-from functools import partial
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from ..clock import NS_PER_MS
-from ..dialects.pus.reception import Request
-from ..firmware_model.configuration import StarTables
-from ..firmware_model.modes import ModeEvent
-from ..protocol.pus.enumerations import EventId, FailureCode, FaultCause, SelfTest
-
-if TYPE_CHECKING:
-    from .star_tracker import StarTracker
+from ..firmware_model.causes import SelfTest
+from .commands import Failure, Running
+from .memories import Memories
+from .parameters import Parameters
 
 STEPS = 4
 
 
 class SelfTestRun:
-    """The unit's self-test, running or done. ``result``: the parts that failed, 0 when all passed."""
+    """The unit's self-test, running or done.
 
-    def __init__(self, unit: StarTracker) -> None:
-        self._unit = unit
-        self._tables_digest = digest_of(unit.tables)
+    ``result``: the parts that failed, 0 when all passed; ``runs``: counts its beginnings and ends.
+    """
+
+    def __init__(self, memories: Memories, parameters: Parameters) -> None:
+        self._memories = memories
+        self._parameters = parameters
         self.result = SelfTest(0)
-        self._request: Request | None = None
+        self.runs = 0
+        self._running: Running | None = None
         self._frame_seen = False
 
     @property
     def running(self) -> bool:
-        return self._request is not None
+        return self._running is not None
 
     def reset(self) -> None:
         """The unit starts anew."""
-        self._request = None
+        self._running = None
         self.result = SelfTest(0)
 
-    def start(self, request: Request) -> None:
-        """Test every part; report progress; back to STANDBY, or FAULT."""
-        unit = self._unit
-        unit.imaging.stop()
-        unit.image_store.abort_capture()
-        self._request = request
+    def begin(self, running: Running) -> None:
+        """It starts; nothing is tested yet."""
+        self.runs += 1
+        self._running = running
         self._frame_seen = False
         self.result = SelfTest(0)
-        unit.follow(ModeEvent.COMMAND_SELF_TEST)
-        request.started()
-        unit.imaging.capture()
-        step_ns = unit.profile.timing.self_test_ms * NS_PER_MS // STEPS
-        for step in range(1, STEPS + 1):
-            unit.later(step * step_ns, partial(self._step, request, step))
 
     def give_up(self) -> None:
-        """It is aborted; its request fails."""
-        if self._request is not None:
-            self._unit.imaging.cancel_capture()
-            self._request.failed(FailureCode.ABORTED)
-            self._request = None
+        """It is aborted."""
+        self.runs += 1
+        running, self._running = self._running, None
+        if running is not None:
+            running.failed(Failure.ABORTED)
 
     def frame_captured(self) -> None:
         """The sensor gave the frame that was asked for."""
         self._frame_seen = True
 
-    def _step(self, request: Request, step: int) -> None:
-        if self._request is not request:
-            return
-        unit = self._unit
+    def test(self, step: int) -> None:
+        """Test part ``step`` of :data:`STEPS`."""
         failed = SelfTest(0)
-        if step == 1 and not unit.memories.test_ram():
-            failed = SelfTest.MEMORY
-        elif step == 2 and unit.parameters.stored_fault() is not None:
-            failed = SelfTest.PARAMETER_STORE
-        elif step == 3 and digest_of(unit.tables) != self._tables_digest:
-            failed = SelfTest.CATALOGUE
-        elif step == 4 and not self._frame_seen:
-            failed = SelfTest.SENSOR
+        match step:
+            case 1:
+                if not self._memories.ram_works():
+                    failed |= SelfTest.MEMORY
+                if not self._memories.program_is_whole():
+                    failed |= SelfTest.PROGRAM
+            case 2 if self._parameters.stored_fault() is not None:
+                failed = SelfTest.PARAMETER_STORE
+            case 3 if not self._memories.catalogue_is_whole():
+                failed = SelfTest.CATALOGUE
+            case 4 if not self._frame_seen:
+                failed = SelfTest.SENSOR
         self.result |= failed
-        if step < STEPS:
-            request.progressed(step)
-            return
-        self._request = None
-        unit.imaging.cancel_capture()
-        unit.raise_event(EventId.SELF_TEST_COMPLETED, result=int(self.result))
-        if self.result:
-            request.failed(FailureCode.SELF_TEST_FAILED, int(self.result))
-            unit.follow(ModeEvent.SELF_TEST_FAILED)
-            unit.raise_event(EventId.FAULT_ENTERED, cause=int(FaultCause.SELF_TEST_FAILED))
-        else:
-            request.progressed(step)
-            request.completed()
-            unit.follow(ModeEvent.SELF_TEST_PASSED)
 
-
-def digest_of(tables: StarTables) -> bytes:
-    """Digest of the on-board star tables."""
-    digest = hashlib.sha256()
-    for array in tables.arrays():
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.digest()
+    def end(self) -> None:
+        """All parts are tested."""
+        self._running = None

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigurationError
-from ..protocol.pus.enumerations import StoreInvalidCause
+from ..firmware_model.causes import StoreInvalidCause
 
 FORMAT = "st-emulator parameters 1"
 

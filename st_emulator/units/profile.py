@@ -12,7 +12,7 @@ import math
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -173,6 +173,10 @@ class Tracking(Section):
 
 
 class Wire(Section):
+    """``dialect``: the language on the wire, a shipped one or ``module:NAME`` of your own; its settings
+    stand in ``[dialects.NAME]``. Those of pus are the other keys here and ``[can]``."""
+
+    dialect: str = "pus"
     apid: Annotated[int, Field(ge=1, le=2046)]
     source_id: Annotated[int, Field(ge=0, le=65535)]
     baud: Annotated[int, Field(ge=300, le=4_000_000)]
@@ -203,6 +207,7 @@ class UnitProfile(Section):
     tracking: Tracking
     wire: Wire
     can: CanSection = CanSection()
+    dialects: dict[str, dict[str, Any]] = Field(default_factory=dict)
     requirements: Requirements = Requirements()
 
     @property

@@ -17,8 +17,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from st_emulator.bench.star_tables import star_tables
+from st_emulator.bench.world_of import camera_model, sky_of
 from st_emulator.campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_section
-from st_emulator.device.calibration import camera_model, firmware_configuration, sky_of, star_tables
+from st_emulator.device.calibration import firmware_configuration
 from st_emulator.device.parameters import default_parameters
 from st_emulator.firmware_model.configuration import FirmwareConfiguration, StarTables
 from st_emulator.firmware_model.firmware import FirmwareState, FrameContext, process_frame

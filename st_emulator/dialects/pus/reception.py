@@ -1,110 +1,70 @@
-"""Telecommands in: acceptance, verification. Each kind of bad input has its counter, event or
-failure report.
-"""
+"""Telecommands in: acceptance. Each kind of bad input has its counter, event or failure report."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
-from ...device.counters import LinkCounters, saturated
+from ...device.counters import saturated
 from ...protocol.pus.enumerations import EventId, FailureCode, MalformedReason
 from ...protocol.pus.field_types import FieldViolation
-from ...protocol.pus.packets import (
-    ACK_ACCEPTANCE,
-    ACK_COMPLETION,
-    ACK_PROGRESS,
-    ACK_START,
-    Malformed,
-    RequestId,
-    Telecommand,
-)
+from ...protocol.pus.packets import SEQUENCE_MODULO, Malformed, RequestId, Telecommand
 from ...protocol.pus.registry import field_violation, parse_telecommand
-
-SEQUENCE_MODULO = 1 << 14
-
-
-class RejectedError(Exception):
-    """A telecommand is refused; ``code`` and ``data`` go into its failure report. Nothing was changed."""
-
-    def __init__(self, code: FailureCode, data: int = 0) -> None:
-        super().__init__(f"{code.name} ({data})")
-        self.code = code
-        self.data = data
+from .serving import Execute
+from .verification import RejectedError, Request, Send
 
 
-class Telemeter(Protocol):
-    """Sends a telemetry message by name."""
+@dataclass
+class LinkCounters:
+    """Counters in the housekeeping structure LINK, from power-on or the last CLEAR_COUNTERS."""
 
-    def __call__(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool: ...
+    tc_received: int = 0
+    tc_accepted: int = 0
+    tc_rejected: int = 0
+    crc_errors: int = 0
+    framing_errors: int = 0
+    length_errors: int = 0
+    oversized_frames: int = 0
+    unknown_apid: int = 0
+    unknown_service: int = 0
+    sequence_gaps: int = 0
+    not_allowed_in_mode: int = 0
+    bad_parameters: int = 0
+    rx_bytes: int = 0
 
-
-class Request:
-    """An accepted telecommand on its way to completion; reports what its acknowledgement flags ask for."""
-
-    def __init__(self, telecommand: Telecommand, send: Telemeter) -> None:
-        self.telecommand = telecommand
-        self._telemeter = send
-        self._request_id = RequestId.from_packet(telecommand.raw).as_fields()
-        self.open = True
-
-    def _send(self, name: str, fields: dict[str, Any]) -> None:
-        self._telemeter(name, fields, self.telecommand.source_id)
-
-    def answer(self, name: str, fields: dict[str, Any]) -> None:
-        """Send the telemetry that the telecommand asks for, to where it came from."""
-        self._send(name, fields)
-
-    def accepted(self) -> None:
-        if self.telecommand.ack & ACK_ACCEPTANCE:
-            self._send("acceptance_success", {"request_id": self._request_id})
-
-    def started(self) -> None:
-        if self.open and self.telecommand.ack & ACK_START:
-            self._send("start_success", {"request_id": self._request_id})
-
-    def progressed(self, step: int) -> None:
-        if self.open and self.telecommand.ack & ACK_PROGRESS:
-            self._send("progress", {"request_id": self._request_id, "step": step})
-
-    def completed(self) -> None:
-        if self.open and self.telecommand.ack & ACK_COMPLETION:
-            self._send("completion_success", {"request_id": self._request_id})
-        self.open = False
-
-    def failed(self, code: FailureCode, data: int = 0) -> None:
-        """Report that the execution failed (always sent)."""
-        if self.open:
-            self._send(
-                "completion_failure",
-                {"request_id": self._request_id, "failure_code": int(code), "failure_data": data},
-            )
-        self.open = False
+    def clear(self) -> None:
+        for item in fields(self):
+            setattr(self, item.name, 0)
 
 
-#: A handler checks a telecommand (raising :class:`RejectedError`) and returns what executes it.
-Handler = Callable[[Telecommand], Callable[[Request], None]]
+class RaiseEvent(Protocol):
+    """Sends an event report, unless it is disabled."""
+
+    def __call__(self, event: EventId, **data: Any) -> None: ...
 
 
-class RequestClient(Protocol):
-    """What the receiving side needs from the unit."""
-
-    def send(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool: ...
-
-    def raise_event(self, event: EventId, **data: int) -> None: ...
-
-    def handler(self, telecommand: Telecommand) -> Handler:
-        """What checks and executes a telecommand; refuses one that the present mode does not allow."""
+Check = Callable[[Request], Execute]
 
 
 class Receiver:
-    """Packets as they were received to executed telecommands."""
+    """Packets as they were received to executed telecommands.
 
-    def __init__(self, client: RequestClient, apid: int, counters: LinkCounters) -> None:
-        self._client = client
+    Args:
+        send, raise_event: reports out.
+        check_of: what checks a telecommand; refuses one that the present mode does not allow.
+        apid: the unit's.
+    """
+
+    def __init__(
+        self, send: Send, raise_event: RaiseEvent, check_of: Callable[[Telecommand], Check], apid: int
+    ) -> None:
+        self._send = send
+        self._raise_event = raise_event
+        self._check_of = check_of
         self._apid = apid
-        self.counters = counters
+        self.counters = LinkCounters()
         self._expected_sequence: dict[int, int] = {}
 
     def reset(self) -> None:
@@ -123,25 +83,25 @@ class Receiver:
 
     def _malformed(self, reason: MalformedReason, count: int, length: int) -> None:
         self.counters.tc_rejected += 1
-        self._client.raise_event(
+        self._raise_event(
             EventId.TC_MALFORMED, reason=int(reason), count=saturated(count, 16), length=saturated(length, 16)
         )
 
-    def handle(self, raw: bytes) -> None:
-        """Check and execute one frame."""
+    def handle(self, raw: bytes, received_ns: int) -> None:
+        """Check and execute one frame whose last bit came in at ``received_ns``."""
         self.counters.tc_received += 1
         parsed = parse_telecommand(raw, apids=(self._apid,))
         if isinstance(parsed, Malformed):
             self._reject_malformed(parsed)
             return
         self._check_sequence(parsed.source_id, parsed.sequence_count)
-        request = Request(parsed, self._client.send)
+        request = Request(parsed, received_ns, self._send)
         try:
-            handler = self._client.handler(parsed)
+            check = self._check_of(parsed)
             violation = field_violation(parsed)
             if violation is not None:
                 raise _refusal(parsed, violation)
-            execute = handler(parsed)
+            execute = check(request)
         except RejectedError as rejection:
             self._count_rejection(rejection.code)
             self._fail_acceptance(
@@ -150,7 +110,7 @@ class Receiver:
             return
         self.counters.tc_accepted += 1
         request.accepted()
-        execute(request)
+        execute()
 
     def _check_sequence(self, source: int, received: int) -> None:
         """Look at the sequence count of a whole and undamaged telecommand, executed or refused."""
@@ -159,7 +119,7 @@ class Receiver:
         # A count of 0 out of turn is an OBC that started anew, not a gap.
         if expected is not None and received not in (expected, 0):
             self.counters.sequence_gaps += 1
-            self._client.raise_event(
+            self._raise_event(
                 EventId.TC_SEQUENCE_GAP_DETECTED, source_id=source, expected=expected, received=received
             )
 
@@ -173,7 +133,7 @@ class Receiver:
             self.counters.bad_parameters += 1
 
     def _fail_acceptance(self, source_id: int, request_id: RequestId, code: FailureCode, data: int) -> None:
-        self._client.send(
+        self._send(
             "acceptance_failure",
             {
                 "request_id": request_id.as_fields(),
@@ -191,26 +151,26 @@ class Receiver:
         if reason == MalformedReason.BAD_CRC:
             counters.crc_errors += 1
             counters.tc_rejected += 1
-            self._client.raise_event(
+            self._raise_event(
                 EventId.TC_CRC_FAILED, count=saturated(counters.crc_errors, 16), length=saturated(length, 16)
             )
         elif reason == MalformedReason.UNKNOWN_APID and malformed.request_id is not None:
             counters.unknown_apid += 1
             counters.tc_rejected += 1
-            self._client.send(
+            self._send(
                 "routing_failure",
                 {
                     "request_id": malformed.request_id.as_fields(),
                     "failure_code": int(FailureCode.UNKNOWN_APID),
                     "failure_data": malformed.request_id.apid,
                 },
-                _source_id(malformed.raw),
+                malformed.source_id,
             )
         elif reason.failure_code in (FailureCode.LENGTH, FailureCode.HEADER) or malformed.request_id is None:
             counters.length_errors += 1
             self._malformed(reason, counters.length_errors, length)
         else:
-            source_id = _source_id(malformed.raw)
+            source_id = malformed.source_id
             self._check_sequence(source_id, malformed.request_id.sequence_count)
             self._count_rejection(reason.failure_code)
             self._fail_acceptance(
@@ -238,20 +198,14 @@ _ITEM = re.compile(r"(?P<list>\w+)\[(?P<number>\d+)\]")
 _IDENTIFIERS = ("structure_id", "parameter_id", "function_id", "memory_id")
 
 
-def _source_id(raw: bytes) -> int:
-    """Source ID of a telecommand packet whose checksum holds."""
-    return int.from_bytes(raw[9:11], "big")
-
-
 def _failure_data(malformed: Malformed) -> int:
     """The data that goes with the failure code (see its meaning in the interface control document)."""
-    raw = malformed.raw
     match malformed.reason:
         case MalformedReason.UNKNOWN_SERVICE:
-            return raw[7]
+            return malformed.service
         case MalformedReason.UNKNOWN_SUBSERVICE:
-            return raw[7] << 8 | raw[8]
+            return malformed.service << 8 | malformed.subservice
         case MalformedReason.UNKNOWN_ID:
             return 0
         case _:
-            return len(raw)
+            return len(malformed.raw)

@@ -7,12 +7,12 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import Any
 
-from ...clock import VirtualClock
-from ...device.onboard_time import OnboardTime
+from ...device.star_tracker import StarTracker
 from ...firmware_model.link_work import packet_work
 from ...firmware_model.work import Work
 from ...protocol.pus.registry import REGISTRY, encode_telemetry
 from ...wire.port import UnitPort
+from .time_code import cuc_at, time_status
 
 # ASSUMED: half of a 64 KiB telemetry buffer; a quarter more is kept for verification and events, so that they
 # find room when everything else is lost.
@@ -28,12 +28,9 @@ class Transmitter:
     :meth:`take_lost`; ``work`` is that of building packets, lost ones too, since the last :meth:`take_work`.
     """
 
-    def __init__(
-        self, clock: VirtualClock, port: UnitPort, time: OnboardTime, apid: int, destination_id: int
-    ) -> None:
-        self._clock = clock
-        self.port = port
-        self._time = time
+    def __init__(self, device: StarTracker, port: UnitPort, apid: int, destination_id: int) -> None:
+        self._device = device
+        self._port = port
         self._apid = apid
         self._destination_id = destination_id
         self._sequence_count = 0
@@ -45,19 +42,20 @@ class Transmitter:
 
     def reset(self) -> None:
         """Sequence and message counts start anew; what waits in the port is lost."""
-        self.port.restart()
+        self._port.restart()
         self._sequence_count = 0
         self._message_counts.clear()
         self.lost_packets = 0
         self.work = Work()
 
     def clear_counters(self) -> None:
+        """Count from 0."""
         self.packets = self.bytes = 0
 
     @property
     def has_room(self) -> bool:
         """Whether half of the queue is free: time to tell what was lost, without losing that as well."""
-        return self.port.queued_bytes <= QUEUE_LIMIT_BYTES // 2
+        return self._port.queued_bytes <= QUEUE_LIMIT_BYTES // 2
 
     def take_lost(self) -> int:
         """How many packets were lost since the last call."""
@@ -84,8 +82,8 @@ class Transmitter:
             sequence_count=self._sequence_count,
             message_count=self._message_counts[kind],
             destination_id=self._destination_id if destination_id is None else destination_id,
-            time=self._time.cuc(self._clock.now_ns),
-            time_status=int(self._time.status),
+            time=cuc_at(self._device, self._device.clock.now_ns),
+            time_status=int(time_status(self._device)),
         )
         data = fields.get("data")  # a copy of an image or of memory
         copied = len(data) if isinstance(data, bytes) else 0
@@ -94,7 +92,7 @@ class Transmitter:
         self._sequence_count = (self._sequence_count + 1) & 0x3FFF
         self._message_counts[kind] = (self._message_counts[kind] + 1) & 0xFFFF
         limit = QUEUE_LIMIT_BYTES + (RESERVED_BYTES if definition.service in RESERVED_SERVICES else 0)
-        queued_bytes = self.port.queue(packet, limit)
+        queued_bytes = self._port.queue(packet, limit)
         if not queued_bytes:
             self.lost_packets += 1
             return False

@@ -19,8 +19,8 @@ from ...protocol.can.bits import (
     frame_duration_ns,
 )
 from ...protocol.can.frames import CanFrame
+from ...protocol.can.vocabulary import CanState
 from ...protocol.errors import LocalProtocolError
-from ...protocol.pus.enumerations import CanState
 from .controller import (
     CLASS_CONTROLLER,
     CLASS_LOST_ARBITRATION,

@@ -16,7 +16,7 @@ from ...protocol.can.bits import (
     frame_duration_ns,
 )
 from ...protocol.can.frames import CanFrame
-from ...protocol.pus.enumerations import CanState
+from ...protocol.can.vocabulary import CanState
 
 WARNING_LIMIT = 96
 PASSIVE_LIMIT = 128

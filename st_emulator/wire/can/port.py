@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -12,6 +12,7 @@ from ...clock import ScheduledEvent, VirtualClock
 from ...protocol.can.bits import INTERMISSION_BITS, bits_duration_ns, frame_duration_ns
 from ...protocol.can.cyclic import TELECOMMAND, CanIdentifiers, decode_can_message, encode_can_message
 from ...protocol.can.frames import CanFrame, RecordDecoder, encode_record
+from ...protocol.can.transfer import payload_bytes, single_frame_bytes
 from ...protocol.can.transport import (
     IsoTpConnection,
     IsoTpEvent,
@@ -20,14 +21,12 @@ from ...protocol.can.transport import (
     PduSent,
     TransmissionFailed,
 )
-from ...protocol.pus.enumerations import CanState, TransferFailure
-from ...protocol.pus.packets import MAX_TELECOMMAND_BYTES
+from ...protocol.can.vocabulary import CanState, TransferFailure
+from ...protocol.pus.packets import MAX_TELECOMMAND_BYTES, MAX_TELEMETRY_BYTES
 from ...protocol.pus.services.large_data import MAX_PART_BYTES
 from ..port import CanObserver, PortClient
 from .bus import CanBus, CanBusSettings, Disturbance
 
-FLOW_CONTROL = 3  # ISO 15765-2 table 9: high nibble of the first byte
-FIRST_FRAME = 1
 FROM_OBC = ("sync", "time_at_sync")
 RECEIVER_GONE = (TransferFailure.TIMEOUT_A, TransferFailure.TIMEOUT_BS, TransferFailure.WAIT_LIMIT)
 
@@ -52,7 +51,19 @@ class CanPortSettings:
     @property
     def single_frame_bytes(self) -> int:
         """The longest packet that is a single frame: no flow control answers it."""
-        return self.frame_bytes - (2 if self.fd else 1)
+        return single_frame_bytes(self.frame_bytes, self.fd)
+
+    def transport_of_the_other_end(self) -> IsoTpSettings:
+        """That of an OBC which asks for no flow control of its own."""
+        own = self.transport()
+        return replace(
+            own,
+            transmit_identifier=own.receive_identifier,
+            receive_identifier=own.transmit_identifier,
+            block_size=0,
+            separation_time_us=0,
+            max_receive_bytes=MAX_TELEMETRY_BYTES,
+        )
 
     def transport(self) -> IsoTpSettings:
         """The unit's end of the connection."""
@@ -205,6 +216,11 @@ class CanPort:
         """The unit has started: frames of other nodes are received from now on."""
         self.bus.listening = True
 
+    def where(self) -> str:
+        bus = self.settings.bus
+        fd = f" (CAN FD, data {bus.data_bitrate} bit/s)" if self.settings.fd else ""
+        return f"{bus.bitrate} bit/s{fd}, node {self.settings.identifiers.node}"
+
     def arrive(self, data: bytes) -> None:
         for frame in self._decoder.receive(data):
             self.bus.arrive(frame)
@@ -312,10 +328,7 @@ class CanPort:
         if item.given_up:  # it was on the wire already
             return
         self._handed_over.remove(item)
-        kind = item.frame.data[0] >> 4
-        if kind != FLOW_CONTROL:
-            payload = len(item.frame.data) - (2 if kind == FIRST_FRAME else 1)
-            self._under_way_bytes = max(self._under_way_bytes - payload, 0)
+        self._under_way_bytes = max(self._under_way_bytes - payload_bytes(item.frame.data), 0)
         self._handle(self.connection.confirmed(item.frame, self._clock.now_ns))
         self._pump()
 

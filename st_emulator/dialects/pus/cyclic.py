@@ -1,24 +1,24 @@
-"""What the unit does on a CAN bus beyond packets: cyclic frames, SYNC and time, reports of the bus."""
+"""What the dialect does on a CAN bus beyond packets: cyclic frames, SYNC and time, reports of the bus."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...clock import NS_PER_MS, NS_PER_S
+from ...device.commands import RefusedError, SetTime
 from ...device.counters import saturated
-from ...firmware_model.modes import Mode
-from ...protocol.pus.enumerations import CanState, EventId, TimeStatus, TransferFailure
+from ...device.star_tracker import StarTracker
+from ...protocol.can.vocabulary import CanState, TransferFailure
+from ...protocol.pus.enumerations import EventId, TimeStatus
 from ...protocol.pus.packets import CucTime
 from ...wire.can.port import CanPort
-
-if TYPE_CHECKING:
-    from ...device.star_tracker import StarTracker
+from .reception import RaiseEvent
+from .time_code import cuc_at
 
 REPORT_INTERVAL_NS = NS_PER_S
 FRACTION_PER_S = 1 << 24
 SYNC_VALID_NS = NS_PER_S  # ASSUMED: a time that follows its SYNC later than this is not its
-TIME_MODES = (Mode.STANDBY, Mode.LOST_IN_SPACE, Mode.TRACKING, Mode.FAULT)  # those of telecommand set_time
 FLOW_CONTROL_ERRORS = (
     TransferFailure.INVALID_FLOW_STATUS,
     TransferFailure.WAIT_LIMIT,
@@ -27,13 +27,14 @@ FLOW_CONTROL_ERRORS = (
 WIDE = ("tx_frames", "rx_frames", "arbitration_lost", "pdus_sent", "pdus_received")
 
 
-class CanServices:
-    """The unit's part on its CAN port; the port tells it what happens there."""
+class CyclicFrames:
+    """The unit's part on its CAN port beside packets; the port tells it what happens there."""
 
-    def __init__(self, unit: StarTracker, port: CanPort) -> None:
-        self._unit = unit
+    def __init__(self, device: StarTracker, port: CanPort, raise_event: RaiseEvent) -> None:
+        self._device = device
         self._port = port
-        self._settings = unit.profile.can
+        self._raise_event = raise_event
+        self._settings = device.profile.can
         self._heartbeats = 0
         self._latched: tuple[int, int] | None = None  # counter of the last SYNC, virtual time of its last bit
         self._syncs = 0
@@ -68,19 +69,19 @@ class CanServices:
     # ----------------------------------------------------------------------------------------------
 
     def _heartbeat(self) -> None:
-        unit = self._unit
+        device = self._device
         fields = {
             "counter": self._heartbeats & 0xFF,
-            "mode": int(unit.mode),
-            "attitude_valid": int(unit.attitude_valid),
-            "time_set": int(unit.time.synchronised),
+            "mode": int(device.mode),
+            "attitude_valid": int(device.attitude_valid),
+            "time_set": int(device.time.synchronised),
             "can_state": int(self._port.bus.state),
-            "boot_count": unit.parameters.boot_count & 0xFF,
-            "uptime_s": unit.uptime_ms // 1000 & 0xFFFFFFFF,
+            "boot_count": device.parameters.boot_count & 0xFF,
+            "uptime_s": device.uptime_ms // 1000 & 0xFFFFFFFF,
         }
         self._port.send_message("heartbeat", fields)
         self._heartbeats += 1
-        unit.later(self._settings.heartbeat_ms * NS_PER_MS, self._heartbeat)
+        device.later(self._settings.heartbeat_ms * NS_PER_MS, self._heartbeat)
 
     def report_attitude(self, report: Mapping[str, Any]) -> None:
         """The cyclic frames of a frame whose attitude report has the fields ``report``."""
@@ -113,26 +114,26 @@ class CanServices:
     # --------------------------------------------------------------------------------------------
 
     def message_received(self, name: str, fields: Mapping[str, Any], last_bit_ns: int) -> None:
-        unit = self._unit
+        device = self._device
         counter = int(fields["sync_counter"])
         if name == "sync":
             self._syncs += 1
             self._latched = (counter, last_bit_ns)
-            time = _seconds(unit.time.cuc(last_bit_ns))
+            time = _seconds(cuc_at(device, last_bit_ns))
             self._port.send_message("sync_time", {"sync_counter": counter, **time})
             return
         latched = self._latched
-        if (
-            latched is None
-            or latched[0] != counter
-            or last_bit_ns - latched[1] > SYNC_VALID_NS
-            or unit.mode not in TIME_MODES
-        ):
+        if latched is None or latched[0] != counter or last_bit_ns - latched[1] > SYNC_VALID_NS:
             self._syncs_ignored += 1
             return
-        unit.supersede_time()
         at_sync = CucTime(int(fields["seconds"]), round(fields["fraction"] * FRACTION_PER_S))
-        unit.time.prepare(at_sync, latched[1])
+        wanted = SetTime(at_sync.to_ns(), latched[1])
+        try:
+            device.check(wanted)
+        except RefusedError:
+            self._syncs_ignored += 1
+            return
+        device.execute(wanted)
 
     def frame_ignored(self) -> None:
         self._syncs_ignored += 1
@@ -148,27 +149,27 @@ class CanServices:
         self._report_pending = self._failures > 0
         if self._failures:
             count, self._failures = self._failures, 0
-            self._unit.raise_event(
+            self._raise_event(
                 EventId.CAN_TRANSFER_FAILED, reason=int(self._failure_reason), count=saturated(count, 16)
             )
-            self._unit.later(REPORT_INTERVAL_NS, self._report_failures)
+            self._device.later(REPORT_INTERVAL_NS, self._report_failures)
 
     def packets_lost(self, reason: TransferFailure, packets: int) -> None:
-        self._unit.raise_event(EventId.CAN_PACKETS_LOST, reason=int(reason), packets=saturated(packets, 16))
+        self._raise_event(EventId.CAN_PACKETS_LOST, reason=int(reason), packets=saturated(packets, 16))
 
     def state_changed(self, before: CanState, now: CanState) -> None:
-        unit, bus = self._unit, self._port.bus
+        device, bus = self._device, self._port.bus
         if now == CanState.BUS_OFF:
-            self._bus_off_ns = unit.clock.now_ns
+            self._bus_off_ns = device.clock.now_ns
         elif before == CanState.BUS_OFF:
-            since_ns = unit.clock.now_ns if self._bus_off_ns is None else self._bus_off_ns
-            unit.raise_event(
+            since_ns = device.clock.now_ns if self._bus_off_ns is None else self._bus_off_ns
+            self._raise_event(
                 EventId.CAN_BUS_OFF_RECOVERED,
-                duration_ms=saturated((unit.clock.now_ns - since_ns) // NS_PER_MS, 32),
+                duration_ms=saturated((device.clock.now_ns - since_ns) // NS_PER_MS, 32),
                 count=saturated(self._counts()["bus_off_count"], 16),
             )
         elif now == CanState.ERROR_PASSIVE:
-            unit.raise_event(
+            self._raise_event(
                 EventId.CAN_ERROR_PASSIVE_ENTERED,
                 transmit_errors=saturated(bus.transmit_error_count, 16),
                 receive_errors=saturated(bus.receive_error_count, 16),

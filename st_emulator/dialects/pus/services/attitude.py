@@ -4,48 +4,38 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from ...device.counters import saturated
-from ...device.imaging import FrameRecord, microseconds
-from ...device.onboard_time import OnboardTime
-from ...firmware_model.firmware import FrameResult
-from ...firmware_model.modes import Mode
-from ...firmware_model.reasons import Reason
+from ....device.counters import saturated
+from ....device.imaging import microseconds
+from ....device.reports import AttitudeReady
+from ....device.star_tracker import StarTracker
+from ....firmware_model.firmware import FrameResult
+from ..time_code import cuc_at, time_status
 
-Quaternion = tuple[float, float, float, float]
-
-IDENTITY: Final[Quaternion] = (0.0, 0.0, 0.0, 1.0)
 _ELEMENTS: Final = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
 
 
-def attitude_fields(
-    record: FrameRecord, reasons: Reason, quaternion: Quaternion, time: OnboardTime, mode: Mode, now_ns: int
-) -> dict[str, Any]:
-    """The fields of the report of a processed frame, or of a dropped one (``record.result`` is None).
+def attitude_fields(device: StarTracker, report: AttitudeReady) -> dict[str, Any]:
+    """The fields of the report of a processed frame, or of a dropped one, at the end of its processing.
 
-    Args:
-        record: the frame.
-        reasons: why its attitude is not valid.
-        quaternion: q_icrs_to_sensor of the frame, or of the last valid one.
-        time: the on-board time, for the stamp at mid-exposure.
-        mode: the unit's, told for a frame that was not processed.
-        now_ns: virtual time of the end of processing.
+    An invalid report repeats the last valid attitude, so that a careless reader sees no jump.
     """
-    result = record.result
-    latency_us = 0 if result is None else microseconds(now_ns - record.mid_exposure_ns)
+    record, result = report.record, report.record.result
+    latency_us = 0 if result is None else microseconds(device.clock.now_ns - record.mid_exposure_ns)
+    mode = device.mode if record.acquisition is None else record.acquisition
     frame: dict[str, Any] = {
         "frame_index": record.index,
-        "mid_exposure_time": time.cuc(record.mid_exposure_ns),
-        "time_status": int(time.status),
-        "mode": int(mode if record.acquisition is None else record.acquisition),
+        "mid_exposure_time": cuc_at(device, record.mid_exposure_ns),
+        "time_status": int(time_status(device)),
+        "mode": int(mode),
         "valid": int(result is not None and result.valid),
-        "reasons": int(reasons),
+        "reasons": int(report.reasons),
         "exposure_us": microseconds(record.exposure_ns),
         "cycles": 0 if record.cycles is None else saturated(record.cycles.total, 32),
         "latency_us": saturated(latency_us, 32),
         "late": int(record.late_ns > 0),
         "frames_dropped_before": saturated(record.dropped_before, 16),
     }
-    attitude = {f"q_{name}": part for name, part in zip("xyzw", quaternion, strict=True)}
+    attitude = {f"q_{name}": part for name, part in zip("xyzw", report.q_icrs_to_sensor, strict=True)}
     return frame | attitude | _accuracy(result) | _observation(result)
 
 
