@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from st_emulator.tai import tai_ns_from_utc
 from st_emulator.world import quaternion, time_scales
 from st_emulator.world.bodies import Earth, Moon, ObserverState, Stray, Sun
 from st_emulator.world.camera import CameraModel

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
+from st_emulator.tai import tai_ns_from_utc
 from st_emulator.world import quaternion, stars, time_scales
 from st_emulator.world.bodies import Moon, Sun
 from st_emulator.world.camera import CameraModel

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from st_emulator.tai import tai_ns_from_utc
 from st_emulator.world import stars, time_scales
 from st_emulator.world.stars import StarField
 

@@ -9,6 +9,7 @@ from astropy.time import Time
 from hypothesis import given
 from hypothesis import strategies as st
 
+from st_emulator.tai import tai_ns_from_utc
 from st_emulator.world import time_scales
 
 

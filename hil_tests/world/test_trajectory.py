@@ -6,6 +6,7 @@ import erfa
 import numpy as np
 import pytest
 
+from st_emulator.tai import tai_ns_from_utc
 from st_emulator.world import quaternion, time_scales
 from st_emulator.world.orbit import orbit
 from st_emulator.world.slew import Hold, RateAxis, SlewTo, slew

@@ -104,6 +104,34 @@ class ScenarioSender(Protocol):
         """When it has to be polled next though nothing happens; None when never."""
 
 
+class DemoSession(Protocol):
+    """A unit that speaks the dialect, in virtual time, for a scripted exchange that people look at
+    (``st-emulator demo --dialect NAME``).
+    """
+
+    @property
+    def profile(self) -> UnitProfile: ...
+
+    @property
+    def now_ns(self) -> int:
+        """Virtual time since power-on."""
+
+    def put(self, data: bytes) -> None:
+        """Put octets on the line, or the record of a CAN frame on the bus, now."""
+
+    def run(self, ms: float) -> list[tuple[int, bytes]]:
+        """Let time go on; returns what the unit has sent meanwhile: (virtual time, octets or record)."""
+
+    def true_quaternion(self, t_ns: int) -> tuple[float, float, float, float]:
+        """q_icrs_to_sensor (x, y, z, w) of the truth at a virtual time."""
+
+    def say(self, text: str) -> None:
+        """A line for people: what is done or was found."""
+
+    def check(self, name: str, value: float, relation: str, target: float, unit: str) -> None:
+        """Something that must hold: ``value relation target``, the relation one of ==, <=, >=."""
+
+
 @dataclass(frozen=True)
 class DialectDefinition(Generic[SettingsT]):
     """One dialect: its name, its settings and how it is made.
@@ -116,6 +144,7 @@ class DialectDefinition(Generic[SettingsT]):
         encode: a scenario's telecommand by name and fields, ``count`` telecommands after the first, as the
             scenario's sender takes it; raises LocalProtocolError naming what is wrong and what is allowed.
         sender: the scenario's OBC on a wire: ``on_can`` says on which.
+        exchange: the scripted exchange of the demo; None: it is another command's.
         document: the interface document, Markdown, from its message definitions; None: it is made elsewhere.
     """
 
@@ -126,4 +155,5 @@ class DialectDefinition(Generic[SettingsT]):
     on_can: Callable[[StarTracker, CanWire, SettingsT], Dialect] | None
     encode: Callable[[UnitProfile, SettingsT, str, Mapping[str, Any], int], bytes]
     sender: Callable[[UnitProfile, SettingsT, CanWiring | None], ScenarioSender]
+    exchange: Callable[[DemoSession], None] | None
     document: Callable[[], str] | None

@@ -52,5 +52,6 @@ PUS = DialectDefinition(
     on_can=_on_can,
     encode=_encode,
     sender=_sender,
+    exchange=None,
     document=None,
 )
