@@ -1,4 +1,4 @@
-"""What the firmware is told of a frame where no unit runs: campaigns, budget, calibration, single pictures."""
+"""What the firmware is told of a frame where no unit runs: campaigns, budget, calibration, pictures."""
 
 from __future__ import annotations
 
