@@ -5,7 +5,7 @@
 #include <stdint.h>
 
 /* The grid of one star catalogue with the catalogue's directions: firmware_model/catalogue/sky_cells.py.
- * band_first_cell has bands + 1 entries, cell_start one more than there are cells. 32 bytes. */
+ * band_first_cell has bands + 1 entries, cell_start one more than there are cells. */
 typedef struct {
     double band_height_rad;
     int32_t bands;

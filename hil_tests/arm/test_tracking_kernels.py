@@ -35,6 +35,8 @@ from st_emulator.firmware_model.tracking import (
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import tracking as binding
 from tools.calibration.steps.step import MismatchError
+from tools.calibration.steps.windows import read_rects
+from tools.calibration.struct_layout import reserve_structs
 
 Array = NDArray[np.float64]
 CAMERA = CameraGeometry(512, 512, 1440.0)
@@ -220,11 +222,11 @@ def test_merged_windows_hold_their_stars_and_touch_no_other(
 ) -> None:
     x, y = np.array(places, np.float64).reshape(-1, 2).T.copy()
     stars = len(x)
-    rects, window = machine.reserve(16 * stars), machine.reserve(4 * stars)
+    rects, window = reserve_structs(machine, "st_rect", stars), machine.reserve(4 * stars)
     number = machine.call(
         "st_merge_windows", machine.place(x), machine.place(y), stars, half, 100, 80, rects, window
     ).result
-    found = machine.read(rects, np.int32, (number, 4))
+    found = read_rects(machine, rects, number)
     of_star = machine.read(window, np.int32, stars)
     machine.release()
     column, row = np.floor(x + 0.5).astype(int), np.floor(y + 0.5).astype(int)
