@@ -1,5 +1,5 @@
-"""The room stands alone: construct, the standard library, and the firmware's vocabulary, which is enumerations
-and tables without code.
+"""The room stands alone: construct, the standard library, and the firmware's vocabulary, which is
+enumerations and tables without code.
 """
 
 from __future__ import annotations

@@ -14,10 +14,10 @@ from ..protocol.pus.housekeeping import HOUSEKEEPING_TABLE
 from ..protocol.pus.parameters import PARAMETER_TABLE
 from ..protocol.pus.registry import REGISTRY
 from ..report import Check
-from ..tai import seconds
 from .attitude import Attitude
 from .client import Obc
 from .counters import CanCounters
+from .cuc_time import seconds
 from .verification import NS_PER_S
 
 OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
