@@ -54,6 +54,33 @@ def dialect_of(profile: UnitProfile) -> DialectDefinition[Any]:
         raise ConfigurationError(f"{profile.origin or profile.name}: wire.dialect: {error}") from error
 
 
+def with_dialect(profile: UnitProfile, name: str | None) -> UnitProfile:
+    """The unit speaking another dialect; None: its own.
+
+    Raises:
+        ConfigurationError: no such dialect.
+    """
+    if name is None:
+        return profile
+    dialect_named(name)
+    return profile.model_copy(update={"wire": profile.wire.model_copy(update={"dialect": name})})
+
+
+def require_wire(profile: UnitProfile, can: bool) -> None:
+    """Refuse a wire that the unit's dialect does not have.
+
+    Raises:
+        ConfigurationError: says which it has.
+    """
+    definition = dialect_of(profile)
+    if can and definition.on_can is None:
+        raise ConfigurationError(f"dialect {definition.name}: knows no CAN bus; allowed are serial links")
+    if not can and definition.on_serial is None:
+        raise ConfigurationError(
+            f"dialect {definition.name}: knows no serial line; allowed are links can:..."
+        )
+
+
 def settings_of(profile: UnitProfile) -> Section:
     """The settings of a unit's dialect: its table ``[dialects.NAME]``, validated.
 
