@@ -181,7 +181,7 @@ def plan_windows(
     return TrackingPlan(neighbours[chosen], reference[chosen], x, y, window, rects[:windows], half), work
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _merge_windows_kernel(
     x: FloatArray, y: FloatArray, half: int, width: int, height: int, rects: IntArray, window: IntArray
 ) -> tuple[int, int]:
@@ -278,7 +278,7 @@ def verify_by_pivot(
     return Verification(spot, int(pivot), int(verified), int(stars_found)), work
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _chord_square(u: FloatArray, i: int, v: FloatArray, j: int) -> float:
     """Square of the chord between the unit vectors u[i] and v[j]: 4 sin^2 of half their angle."""
     dx = u[i, 0] - v[j, 0]
@@ -288,7 +288,7 @@ def _chord_square(u: FloatArray, i: int, v: FloatArray, j: int) -> float:
     return square
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _verify_kernel(
     reference: FloatArray,
     hp_mag: npt.NDArray[np.float32],

@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from .compiled_kernels import keep_compiled_kernels
 from .errors import ConfigurationError
 from .firmware_model.configuration import CentroidError, FirmwareConfiguration, StarTables
 from .firmware_model.cycle_table import LINE_FILLS, ProcessorProfileError, load_table
@@ -177,6 +178,7 @@ def scene_of(profile: UnitProfile, scenario: Scenario, seed: int, start_tai_ns: 
     Raises:
         ConfigurationError: values that fit the scenario's schema but not each other.
     """
+    keep_compiled_kernels()
     sky = scenario.sky
     brightest, faintest = sky.false_spot_magnitudes
     camera = camera_model(profile)
@@ -233,6 +235,7 @@ def _tables(figures: TableFigures) -> StarTables:
 
 def star_tables(profile: UnitProfile) -> StarTables:
     """The unit's on-board catalogue and pair table: built once, kept in the user's cache folder."""
+    keep_compiled_kernels()
     geometry = camera_geometry(profile)
     return _tables(
         TableFigures(

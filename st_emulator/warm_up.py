@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import subprocess
 import sys
 from pathlib import Path
 
+from .compiled_kernels import keep_compiled_kernels
 from .configuration import star_tables
 from .emulator import Emulator
 from .profile import UnitProfile
@@ -37,8 +37,8 @@ def warm_up(profile: UnitProfile) -> None:
 
 
 def _marker() -> Path:
-    """Says that the kernels beside it are compiled. (The package sets the folder where the user has not.)"""
-    return Path(os.environ["NUMBA_CACHE_DIR"]) / "warmed-up"
+    """Says that the kernels beside it are compiled."""
+    return keep_compiled_kernels() / "warmed-up"
 
 
 def compile_apart(profile: UnitProfile) -> None:

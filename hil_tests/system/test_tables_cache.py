@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from st_emulator import tables_cache
+from st_emulator.compiled_kernels import keep_compiled_kernels
 from st_emulator.configuration import star_tables
 from st_emulator.firmware_model.catalogue.tables import StarTables
 from st_emulator.profile import load_unit
@@ -104,7 +105,7 @@ def test_a_units_tables_come_from_the_cache_folder(tmp_path: Path, monkeypatch: 
         "from st_emulator.onboard.self_test import digest_of\n"
         "print(digest_of(star_tables(load_unit('zy3'))).hex())"
     )
-    compiled = {name: os.environ[name] for name in ("NUMBA_CACHE_DIR",) if name in os.environ}
+    compiled = {"NUMBA_CACHE_DIR": str(keep_compiled_kernels())}
     run = subprocess.run(
         [sys.executable, "-c", script],
         env=os.environ | compiled | {"XDG_CACHE_HOME": str(tmp_path)},

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_section
+from ..compiled_kernels import keep_compiled_kernels
 from ..configuration import bodies_of, camera_model, firmware_configuration, scene_of, sky_of, star_tables
 from ..firmware_model.configuration import FirmwareConfiguration, StarTables
 from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
@@ -280,6 +281,7 @@ def _bare_renderer(profile_json: str, hot_pixel_fraction: float | None) -> Scene
     if hot_pixel_fraction is not None:
         profile = with_section(profile, "detector", hot_pixel_fraction=hot_pixel_fraction)
     start = start_tai_ns()
+    keep_compiled_kernels()
     return SceneRenderer(
         camera_model(profile),
         sky_of(start),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiled_kernels import keep_compiled_kernels
 from ..configuration import (
     bodies_of,
     camera_model,
@@ -57,6 +58,7 @@ def _scene(profile_json: str, seed: int, sky_json: str) -> SceneRenderer:
     profile = UnitProfile.model_validate_json(profile_json)
     sky = Sky.model_validate_json(sky_json)
     start = start_tai_ns()
+    keep_compiled_kernels()
     return SceneRenderer(
         camera_model(profile),
         sky_of(start),

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from st_emulator.campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_section
+from st_emulator.compiled_kernels import keep_compiled_kernels
 from st_emulator.configuration import camera_model, firmware_configuration, sky_of, star_tables
 from st_emulator.firmware_model.configuration import FirmwareConfiguration, StarTables
 from st_emulator.firmware_model.firmware import FirmwareState, FrameContext, process_frame
@@ -269,6 +270,7 @@ def _renderer(profile: UnitProfile, sequence: SkySequence) -> SceneRenderer:
     start = start_tai_ns()
     q = random_pointings(sequence.number + 1, sequence.seed)[sequence.number]
     rate = np.radians(sequence.rate_deg_s)
+    keep_compiled_kernels()
     return SceneRenderer(
         camera_model(profile),
         sky_of(start),
