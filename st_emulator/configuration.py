@@ -93,6 +93,7 @@ def camera_geometry(profile: UnitProfile) -> CameraGeometry:
     """The calibration that the firmware holds. ASSUMED: it is exact; an error of it would be one more
     figure of the unit.
     """
+    keep_compiled_kernels()  # the first of all that the firmware's configuration and the tables are made of
     cx_px, cy_px = profile.principal_point_px
     optics = profile.optics
     return CameraGeometry(
@@ -235,7 +236,6 @@ def _tables(figures: TableFigures) -> StarTables:
 
 def star_tables(profile: UnitProfile) -> StarTables:
     """The unit's on-board catalogue and pair table: built once, kept in the user's cache folder."""
-    keep_compiled_kernels()
     geometry = camera_geometry(profile)
     return _tables(
         TableFigures(
