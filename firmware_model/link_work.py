@@ -36,11 +36,13 @@ def line_work(line_bytes: int) -> Work:
     return Work({"telecommand_bytes": line_bytes})
 
 
-def telecommand_work(packet: bytes) -> Work:
-    """The headers of a received packet checked, and its error control where the length is right."""
+def telecommand_work(checked_bytes: int) -> Work:
+    """The headers of a received packet checked, and the error control over so many bytes (0 where its length
+    is wrong already).
+    """
     work = Work({"telecommands": 1})
-    if len(packet) == int.from_bytes(packet[4:6], "big") + 7:  # the field is one less than what follows it
-        work.add("crc_bytes", len(packet))
+    if checked_bytes:
+        work.add("crc_bytes", checked_bytes)
     return work
 
 

@@ -9,7 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-__all__ = ["MODE_MEANINGS", "TRANSITIONS", "Mode", "ModeEvent", "ModeTransition", "next_mode"]
+__all__ = [
+    "MODE_MEANINGS",
+    "TRANSITIONS",
+    "Mode",
+    "ModeEvent",
+    "ModeTransition",
+    "next_mode",
+    "transition",
+]
 
 
 class Mode(IntEnum):
@@ -25,13 +33,13 @@ class Mode(IntEnum):
 
 
 MODE_MEANINGS: dict[Mode, str] = {
-    Mode.BOOT: "software starts; no telecommand is taken",
-    Mode.SELF_TEST: "memory, catalogue and sensor are checked; no attitude",
-    Mode.STANDBY: "commands and housekeeping; no attitude",
-    Mode.LOST_IN_SPACE: "each frame is searched for an attitude without prior knowledge",
-    Mode.TRACKING: "each frame's attitude is found in windows placed by the last one",
-    Mode.FAULT: "a check failed; no attitude; left by a passed self-test or a reset",
-    Mode.OFF: "no power or shut down; nothing is sent",
+    Mode.BOOT: "initialising after power-on or reset; no attitude",
+    Mode.SELF_TEST: "testing itself; no attitude",
+    Mode.STANDBY: "waiting for a command; frames are not processed",
+    Mode.LOST_IN_SPACE: "looking for the attitude over the whole sky, without any prior",
+    Mode.TRACKING: "following the stars in detection windows from frame to frame",
+    Mode.FAULT: "stopped by a fault; only a reset or a self-test leads out",
+    Mode.OFF: "shut down; nothing is sent until power is cycled",
 }
 
 
@@ -53,16 +61,25 @@ class ModeEvent(IntEnum):
     ATTITUDE_ACQUIRED = 12
     TRACKING_LOST = 13
     FAULT_DETECTED = 14
+    POWER_OFF = 15
 
 
 @dataclass(frozen=True)
 class ModeTransition:
-    """One row of the table."""
+    """One row of the table.
+
+    ``announced``: whether the unit tells the change as such; not where nothing is sent in the new mode, and
+    not where another report says it (the end of the boot).
+    """
 
     mode: Mode
     event: ModeEvent
     next_mode: Mode
     meaning: str
+
+    @property
+    def announced(self) -> bool:
+        return self.next_mode not in (Mode.BOOT, Mode.OFF) and self.event is not ModeEvent.BOOT_DONE
 
 
 def _rows(
@@ -98,11 +115,20 @@ TRANSITIONS: tuple[ModeTransition, ...] = (
     ),
     *_rows(_POWERED, ModeEvent.COMMAND_RESET, Mode.BOOT, "restart, on command or by the watchdog"),
     *_rows(_POWERED, ModeEvent.COMMAND_SHUTDOWN, Mode.OFF, "end cleanly; parameters are stored"),
+    *_rows(_POWERED, ModeEvent.POWER_OFF, Mode.OFF, "power goes, at any instant"),
 )
 
-_NEXT: dict[tuple[Mode, ModeEvent], Mode] = {(row.mode, row.event): row.next_mode for row in TRANSITIONS}
+_ROWS: dict[tuple[Mode, ModeEvent], ModeTransition] = {(row.mode, row.event): row for row in TRANSITIONS}
+
+
+def transition(mode: Mode, event: ModeEvent) -> ModeTransition | None:
+    """The row of the table for an event in a mode, or None when the event is not allowed (or means nothing)
+    there.
+    """
+    return _ROWS.get((mode, event))
 
 
 def next_mode(mode: Mode, event: ModeEvent) -> Mode | None:
     """The mode after the event, or None when the event is not allowed (or means nothing) in the mode."""
-    return _NEXT.get((mode, event))
+    row = transition(mode, event)
+    return None if row is None else row.next_mode

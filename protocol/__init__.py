@@ -5,7 +5,7 @@ take them apart and never raise, ``slip_encode`` and ``SlipDecoder`` carry them 
 message stands in ``REGISTRY``.
 """
 
-from .can_messages import (
+from .can.cyclic import (
     CAN_MESSAGES,
     CanIdentifiers,
     CanMessage,
@@ -13,7 +13,9 @@ from .can_messages import (
     decode_can_message,
     encode_can_message,
 )
-from .enumerations import (
+from .errors import LocalProtocolError, ProtocolError, RemoteProtocolError
+from .framing import FrameDiscarded, FrameEvent, FrameReceived, SlipDecoder, slip_encode
+from .pus.enumerations import (
     MEANINGS,
     CanState,
     EventId,
@@ -36,15 +38,13 @@ from .enumerations import (
     TimeStatus,
     TransferFailure,
 )
-from .errors import LocalProtocolError, ProtocolError, RemoteProtocolError
-from .events import EVENT_TABLE, EVENTS, EventDefinition
-from .field_types import FieldProblem, FieldType, FieldViolation
-from .fields import Case, Data, Field, Repeated, Switched
-from .framing import FrameDiscarded, FrameEvent, FrameReceived, SlipDecoder, slip_encode
-from .functions import FUNCTION_TABLE, FUNCTIONS, FunctionDefinition
-from .housekeeping import HOUSEKEEPING, HOUSEKEEPING_TABLE, HousekeepingDefinition
-from .messages import MessageDefinition, MessageRegistry, ServiceDefinition
-from .packets import (
+from .pus.events import EVENT_TABLE, EVENTS, EventDefinition
+from .pus.field_types import FieldProblem, FieldType, FieldViolation
+from .pus.fields import Case, Data, Field, Repeated, Switched
+from .pus.functions import FUNCTION_TABLE, FUNCTIONS, FunctionDefinition
+from .pus.housekeeping import HOUSEKEEPING, HOUSEKEEPING_TABLE, HousekeepingDefinition
+from .pus.messages import MessageDefinition, MessageRegistry, ServiceDefinition
+from .pus.packets import (
     ACK_ACCEPTANCE,
     ACK_COMPLETION,
     ACK_PROGRESS,
@@ -59,8 +59,8 @@ from .packets import (
     Telemetry,
     crc16_ccitt,
 )
-from .parameters import PARAMETER_TABLE, PARAMETERS, PARAMETERS_BY_NAME, ParameterDefinition
-from .registry import (
+from .pus.parameters import PARAMETER_TABLE, PARAMETERS, PARAMETERS_BY_NAME, ParameterDefinition
+from .pus.registry import (
     REGISTRY,
     encode_raw_telecommand,
     encode_telecommand,
@@ -69,14 +69,14 @@ from .registry import (
     parse_telecommand,
     parse_telemetry,
 )
-from .services.large_data import (
+from .pus.services.large_data import (
     IMAGE_HEADER_BYTES,
     IMAGE_HEADER_FIELDS,
     MAX_PART_BYTES,
     decode_image_header,
     encode_image_header,
 )
-from .services.memory import MAX_DUMP_BYTES, MAX_LOAD_BYTES
+from .pus.services.memory import MAX_DUMP_BYTES, MAX_LOAD_BYTES
 
 __all__ = [
     "ACK_ACCEPTANCE",

@@ -1,7 +1,7 @@
 """Errors of the wire protocol.
 
-Malformed input is a value (:class:`~st_emulator.protocol.packets.Malformed`), never an exception; these are
-for code that builds nonsense and for peers whose well-formed packets make no sense.
+Malformed input is a value (:class:`~st_emulator.protocol.pus.packets.Malformed`), never an exception;
+these are for code that builds nonsense and for peers whose well-formed packets make no sense.
 """
 
 from __future__ import annotations

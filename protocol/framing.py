@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .enumerations import FramingReason
 from .errors import LocalProtocolError
+from .pus.enumerations import FramingReason
 
 END = 0xC0
 ESC = 0xDB

@@ -148,7 +148,7 @@ def run(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
 ) -> None:
     """Run a unit on a line until stopped (Ctrl-C) or until the scenario's end."""
-    from .running import RunOptions, run_unit
+    from .commands.running import RunOptions, run_unit
 
     run_unit(
         RunOptions(
@@ -192,7 +192,7 @@ def demo(
     """Show the main job: a unit and an OBC as two processes over a pseudo-terminal or a CAN bus, in real
     time.
     """
-    from .demo import run_demo
+    from .commands.demo import run_demo
 
     raise typer.Exit(run_demo(unit, seconds, json_path, out, seed, console_for(json_path), link))
 
@@ -275,7 +275,7 @@ def solve(
     ] = None,
 ) -> None:
     """Run the firmware on one recorded frame, lost in space, and print where it looks."""
-    from .solving import solve_image
+    from .commands.solving import solve_image
 
     raise typer.Exit(solve_image(image, unit, json_path, picture, console_for(json_path)))
 
@@ -291,7 +291,7 @@ def replay(
     """Feed a journal's received bytes to a fresh unit and compare what it sends, byte by byte and time
     by time.
     """
-    from .replaying import replay_journal
+    from .commands.replaying import replay_journal
 
     raise typer.Exit(replay_journal(journal, json_path, write, console_for(json_path)))
 
@@ -299,8 +299,8 @@ def replay(
 @app.command()
 def prepare() -> None:
     """Compile the kernels and build the star tables of the shipped units, so that no first run waits."""
-    from .profile import load_unit, unit_names
-    from .warm_up import warm_up
+    from .commands.warm_up import warm_up
+    from .units.profile import load_unit, unit_names
 
     console = Console(stderr=True)
     for name in unit_names():
@@ -312,8 +312,8 @@ def prepare() -> None:
 @app.command()
 def units(json_path: Json = None) -> None:
     """List the shipped units."""
-    from .profile import load_unit, unit_names
     from .report import require_json_path, write_json
+    from .units.profile import load_unit, unit_names
 
     require_json_path(json_path)
     profiles = [load_unit(name) for name in unit_names()]
@@ -357,7 +357,7 @@ def export_icd(
     check: Stale = False,
 ) -> None:
     """The interface control document, from the message registry."""
-    from .documents import interface_control_document_text
+    from .commands.documents import interface_control_document_text
 
     _write_document(interface_control_document_text(), out, check)
 
@@ -368,8 +368,8 @@ def export_scenario_schema(
     check: Stale = False,
 ) -> None:
     """The JSON schema of scenario files."""
-    from .documents import schema_text
-    from .scenario import Scenario
+    from .bench.scenario import Scenario
+    from .commands.documents import schema_text
 
     _write_document(schema_text(Scenario), out, check)
 
@@ -380,8 +380,8 @@ def export_unit_schema(
     check: Stale = False,
 ) -> None:
     """The JSON schema of unit files."""
-    from .documents import schema_text
-    from .profile import UnitProfile
+    from .commands.documents import schema_text
+    from .units.profile import UnitProfile
 
     _write_document(schema_text(UnitProfile), out, check)
 
@@ -411,7 +411,7 @@ def export_dbc(
     check: Stale = False,
 ) -> None:
     """The frames of units on a CAN bus as a DBC file, for any CAN tool."""
-    from .documents import can_database_text
+    from .commands.documents import can_database_text
 
     text = can_database_text(units or (), fd=fd)
     if out is None and not units and not fd:

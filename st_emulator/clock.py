@@ -1,6 +1,7 @@
 """One virtual clock: integer nanoseconds since power-on, events ordered by (time, sequence).
 
-Nothing here looks at the operating system's clock; :mod:`st_emulator.realtime` paces this clock against it.
+Nothing here looks at the operating system's clock; :mod:`st_emulator.drivers.realtime` paces this clock
+against it.
 A delay is a scheduled event, never a sleep, so results do not depend on the size of the steps.
 """
 

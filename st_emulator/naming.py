@@ -10,12 +10,12 @@ from datetime import datetime
 from enum import IntEnum, IntFlag
 from typing import Any
 
-from .protocol.enumerations import EventId, FunctionId, HousekeepingId, ParameterId
 from .protocol.errors import LocalProtocolError
-from .protocol.events import EVENTS
-from .protocol.fields import Data, Element, Field, Repeated, Switched
-from .protocol.packets import CucTime
-from .protocol.registry import REGISTRY
+from .protocol.pus.enumerations import EventId, FunctionId, HousekeepingId, ParameterId
+from .protocol.pus.events import EVENTS
+from .protocol.pus.fields import Data, Element, Field, Repeated, Switched
+from .protocol.pus.packets import CucTime
+from .protocol.pus.registry import REGISTRY
 from .tai import tai_ns_from_utc
 
 

@@ -6,11 +6,10 @@ from datetime import UTC, datetime, timedelta
 
 import erfa
 
-from .protocol.packets import CucTime
+from .clock import NS_PER_S, NS_PER_US
+from .protocol.pus.packets import CucTime
 
 EPOCH_1958 = datetime(1958, 1, 1, tzinfo=UTC)
-NS_PER_S = 1_000_000_000
-_NS_PER_US = 1_000
 
 
 def tai_minus_utc_s(moment: datetime) -> float:
@@ -21,13 +20,18 @@ def tai_minus_utc_s(moment: datetime) -> float:
     return float(erfa.dat(utc.year, utc.month, utc.day, 0.0))
 
 
-def tai_ns_from_utc(moment: datetime) -> int:
-    """TAI nanoseconds since 1958-01-01 of `moment`; ValueError when it has no time zone or is earlier."""
+def tai_ns_from_utc(moment: datetime | str) -> int:
+    """TAI nanoseconds since 1958-01-01 of `moment`, or of an ISO 8601 text.
+
+    ValueError when it has no time zone, is earlier, or is no date.
+    """
+    if isinstance(moment, str):
+        moment = datetime.fromisoformat(moment)
     if moment.tzinfo is None:
         raise ValueError(f"{moment.isoformat()}: a time zone is needed, such as {moment.isoformat()}Z")
     since = moment - EPOCH_1958
     elapsed_us = (since.days * 86_400 + since.seconds) * 1_000_000 + since.microseconds
-    tai_ns = elapsed_us * _NS_PER_US + round(tai_minus_utc_s(moment) * NS_PER_S)
+    tai_ns = elapsed_us * NS_PER_US + round(tai_minus_utc_s(moment) * NS_PER_S)
     if tai_ns < 0:
         raise ValueError(f"{moment.isoformat()}: on-board time begins at 1958-01-01")
     return tai_ns
@@ -35,7 +39,7 @@ def tai_ns_from_utc(moment: datetime) -> int:
 
 def utc_from_cuc(time: CucTime) -> datetime:
     """The UTC moment of an on-board time, to the microsecond; a leap second reads as the second after it."""
-    tai = EPOCH_1958 + timedelta(microseconds=time.to_ns() // _NS_PER_US)
+    tai = EPOCH_1958 + timedelta(microseconds=time.to_ns() // NS_PER_US)
     utc = tai - timedelta(seconds=tai_minus_utc_s(tai))
     return tai - timedelta(seconds=tai_minus_utc_s(utc))
 

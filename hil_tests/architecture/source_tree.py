@@ -45,7 +45,7 @@ class Source:
 
 
 def module_of(path: Path) -> str:
-    """protocol/packets.py is st_emulator.protocol.packets, as it is installed."""
+    """protocol/pus/packets.py is st_emulator.protocol.pus.packets, as it is installed."""
     parts = list(path.relative_to(ROOT).with_suffix("").parts)
     if parts[-1] == "__init__":
         parts.pop()

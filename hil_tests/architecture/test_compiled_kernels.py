@@ -131,7 +131,15 @@ def imported(module: str, here: Path = ROOT, **environment: str) -> dict[str, An
 
 @pytest.mark.parametrize(
     "module",
-    ["", ".protocol", ".firmware_model.firmware", ".world.scene", ".emulator", ".compiled_kernels", ".cli"],
+    [
+        "",
+        ".protocol",
+        ".firmware_model.firmware",
+        ".world.scene",
+        ".bench.emulator",
+        ".compiled_kernels",
+        ".cli",
+    ],
 )
 def test_an_import_writes_nothing_and_sets_nothing(module: str, tmp_path: Path) -> None:
     said = imported(f"st_emulator{module}", XDG_CACHE_HOME=str(tmp_path))
@@ -264,9 +272,9 @@ def test_every_kernel_is_in_a_room_that_is_searched_and_says_nothing_itself() ->
 # -- who runs kernels has them kept
 
 UNIT = """
-from st_emulator.emulator import Emulator
-from st_emulator.profile import load_unit
-from st_emulator.scenario import Scenario, ScenarioTelecommand
+from st_emulator.bench.emulator import Emulator
+from st_emulator.units.profile import load_unit
+from st_emulator.bench.scenario import Scenario, ScenarioTelecommand
 acquire = ScenarioTelecommand(at_s=0.6, name="function", fields={"function_id": 2, "arguments": {}})
 frames = []
 emulator = Emulator(load_unit("roja1"), Scenario(telecommands=[acquire]), on_completed=frames.append)
@@ -274,16 +282,16 @@ emulator.advance(3_000_000_000)
 assert len(frames) > 5
 """
 CONFIGURATION = """
-from st_emulator.configuration import firmware_configuration
-from st_emulator.onboard.parameters import default_parameters
-from st_emulator.profile import load_unit
+from st_emulator.device.calibration import firmware_configuration
+from st_emulator.device.parameters import default_parameters
+from st_emulator.units.profile import load_unit
 firmware_configuration(load_unit("roja1"), default_parameters(load_unit("roja1")))
 """
 CAMPAIGN = """
 from functools import partial
 from st_emulator.campaigns.batches import Batch, run_batch
 from st_emulator.campaigns.single_stars import measure
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import load_unit
 outcome = run_batch(Batch(partial(measure, load_unit("roja1"), 1, 1, True), (0,)))
 assert outcome.items[0][0] == "", outcome
 """
@@ -298,7 +306,7 @@ assert len(scene_tables(3.0, 20.0).pairs.cos_angle)
 """
 BUDGET = """
 from st_emulator.budget.scenes import frames_of
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import load_unit
 assert len([inputs.process() for inputs in frames_of(load_unit("roja1"), seed=1)]) == 3
 """
 CALIBRATION = """
@@ -340,7 +348,9 @@ def test_no_kernel_is_compiled_for_one_process_alone(program: str) -> None:
 @pytest.mark.slow
 def test_after_the_warm_up_a_unit_compiles_nothing(tmp_path: Path) -> None:
     """Into an empty folder, as the first start of all."""
-    warm_up = "from st_emulator.profile import load_unit; from st_emulator.warm_up import warm_up\n"
+    warm_up = (
+        "from st_emulator.units.profile import load_unit; from st_emulator.commands.warm_up import warm_up\n"
+    )
     first = ran(warm_up + "warm_up(load_unit('roja1'))", NUMBA_CACHE_DIR=str(tmp_path))
     assert first["misses"] > 20
     assert (tmp_path / "warmed-up").exists()

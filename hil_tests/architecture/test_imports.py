@@ -26,22 +26,31 @@ def offences(found: list[Source], forbidden: tuple[str, ...], but: tuple[str, ..
 @pytest.mark.parametrize("room", [PROTOCOL, FIRMWARE, LINKS, WORLD])
 def test_rooms_that_import_nothing_else_of_ours(room):
     # The bytes of a CAN link are records of frames: that one kind of link knows their layout.
-    frames = (f"{PROTOCOL}.can_frames", f"{PROTOCOL}.errors")
+    frames = (f"{PROTOCOL}.can", f"{PROTOCOL}.errors")
     bus = [source for source in under(room) if source.path in CAN_LINKS]
     assert offences([source for source in under(room) if source not in bus], OUR_OWN, but=(room,)) == []
     assert offences(bus, OUR_OWN, but=(room, *frames)) == []
 
 
 def test_the_firmware_never_gets_the_truth():
-    unit = under(ONBOARD, "st_emulator.unit", FIRMWARE)
-    assert offences(unit, (WORLD, "st_emulator.scenario", "st_emulator.emulator", OBC)) == []
+    unit = under(ONBOARD, "st_emulator.device.star_tracker", FIRMWARE)
+    assert offences(unit, (WORLD, "st_emulator.bench.scenario", "st_emulator.bench.emulator", OBC)) == []
     assert offences(under(WORLD), (FIRMWARE, PROTOCOL, ONBOARD)) == []
 
 
 def test_the_obc_knows_the_unit_by_its_wire_alone():
-    inside = (WORLD, ONBOARD, FIRMWARE, "st_emulator.unit", "st_emulator.emulator", "st_emulator.running")
+    inside = (
+        WORLD,
+        ONBOARD,
+        FIRMWARE,
+        "st_emulator.device.star_tracker",
+        "st_emulator.bench.emulator",
+        "st_emulator.commands.running",
+    )
     assert offences(under(OBC), inside) == []
-    core = under("st_emulator.emulator", "st_emulator.running", "st_emulator.realtime", ONBOARD)
+    core = under(
+        "st_emulator.bench.emulator", "st_emulator.commands.running", "st_emulator.drivers.realtime", ONBOARD
+    )
     assert offences(core, (OBC,)) == []
 
 
@@ -64,9 +73,12 @@ def test_ports_are_opened_in_links_alone():
     assert users("can") == CAN_LINKS
     terminals = {"st_emulator/links/pty.py", "st_emulator/links/serial_port.py"}
     assert users("pty", "tty", "termios") == terminals
-    locks = {"st_emulator/running.py", "st_emulator/links/can_slcan.py"}  # a file, an adapter
+    locks = {"st_emulator/commands/running.py", "st_emulator/links/can_slcan.py"}  # a file, an adapter
     assert users("fcntl") == terminals | locks
-    assert users("socket", "select") <= {"st_emulator/links/serial_port.py", "st_emulator/realtime.py"} | {
+    assert users("socket", "select") <= {
+        "st_emulator/links/serial_port.py",
+        "st_emulator/drivers/realtime.py",
+    } | {
         *CAN_LINKS,
         "st_emulator/links/network_interface.py",
         "st_emulator/obc/reading.py",
@@ -85,11 +97,11 @@ def test_construct_stays_in_the_protocol():
 
 
 CLOCKS = {
-    "st_emulator/realtime.py": {"time.monotonic_ns"},  # the pacer
+    "st_emulator/drivers/realtime.py": {"time.monotonic_ns"},  # the pacer
     "st_emulator/links/pty.py": {"time.monotonic_ns"},  # how long nobody has read
     "st_emulator/obc/reading.py": {"time.monotonic_ns", "datetime.now"},  # the OBC is a real-time program
-    "st_emulator/demo.py": {"time.monotonic", "time.sleep"},  # waits for another process
-    "st_emulator/running.py": {"datetime.now"},  # the date at which a live world starts
+    "st_emulator/commands/demo.py": {"time.monotonic", "time.sleep"},  # waits for another process
+    "st_emulator/commands/running.py": {"datetime.now"},  # the date at which a live world starts
     "st_emulator/campaigns/registry.py": {"time.perf_counter"},  # how long a campaign took
     "st_emulator/campaigns/star_identification.py": {"time.perf_counter_ns"},  # and one identification
 }

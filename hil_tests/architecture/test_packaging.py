@@ -20,8 +20,8 @@ import firmware_model
 import st_emulator.protocol
 import st_emulator.firmware_model.modes
 from st_emulator.protocol import encode_telecommand
-from st_emulator.profile import load_unit, unit_names
-from st_emulator.configuration import processor_profile
+from st_emulator.units.profile import load_unit, unit_names
+from st_emulator.device.calibration import processor_profile
 assert protocol.WHO == "the OBC project's own", protocol
 assert firmware_model.WHO == "the OBC project's own", firmware_model
 assert protocol.__name__ == "protocol" and st_emulator.protocol.__name__ == "st_emulator.protocol"
@@ -80,7 +80,7 @@ def test_the_wheel_holds_everything_under_one_name(wheel):
         if source.module.startswith("st_emulator")
     }
     for pattern in (
-        "st_emulator/profiles/*.toml",
+        "st_emulator/units/*.toml",
         "st_emulator/budget/*.jinja",
         "firmware_model/cycle_costs/*.json",
         "*/py.typed",

@@ -10,9 +10,9 @@ import pytest
 PROGRAM = """
 import json, sys
 sys.modules["scipy"] = None
-import st_emulator.running
-from st_emulator.emulator import Emulator
-from st_emulator.profile import load_unit
+import st_emulator.commands.running
+from st_emulator.bench.emulator import Emulator
+from st_emulator.units.profile import load_unit
 emulator = Emulator(load_unit("roja1"))
 emulator.advance(1_000_000_000)
 print(json.dumps({"now_ns": emulator.now_ns, "loaded": sorted(sys.modules)}))
@@ -29,7 +29,11 @@ def loaded():
 
 
 def test_the_unit_was_loaded_and_runs_without_scipy(loaded):
-    assert {"st_emulator.unit", "st_emulator.world.scene", "st_emulator.firmware_model.firmware"} <= loaded
+    assert {
+        "st_emulator.device.star_tracker",
+        "st_emulator.world.scene",
+        "st_emulator.firmware_model.firmware",
+    } <= loaded
     assert not [name for name in loaded if name.startswith("scipy.")]
 
 

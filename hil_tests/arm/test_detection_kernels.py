@@ -20,7 +20,7 @@ from st_emulator.firmware_model.image.background import frame_statistics
 from st_emulator.firmware_model.image.detection import DetectionParameters, detect
 from st_emulator.firmware_model.image.spots import Spots
 from st_emulator.firmware_model.work import COUNTS, Work
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import load_unit
 from st_emulator.world.false_spots import FalseSpots
 from st_emulator.world.trajectory import ConstantRateTrajectory
 from tools.arm_timing.machine import ArmMachine

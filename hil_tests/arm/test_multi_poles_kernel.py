@@ -20,11 +20,7 @@ from hil_tests.arm.identification_runs import (
     right_and_wrong,
 )
 from hil_tests.arm.identification_scenes import PARAMETERS, SCENES, Scene, seen, sky, with_parameters
-from st_emulator.firmware_model.identification.interface import (
-    Identification,
-    MultiPolesParameters,
-    Spikes,
-)
+from st_emulator.firmware_model.identification.interface import Identification, MultiPolesParameters, Spikes
 from st_emulator.firmware_model.identification.multi_poles import identify
 from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import Work

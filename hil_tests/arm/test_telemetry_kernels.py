@@ -26,7 +26,8 @@ from st_emulator.protocol import (
     parse_telecommand,
     slip_encode,
 )
-from st_emulator.protocol.enumerations import MalformedReason, Mode, Reason, TimeStatus
+from st_emulator.protocol.pus.enumerations import MalformedReason, Mode, Reason, TimeStatus
+from st_emulator.protocol.pus.packets import error_controlled_bytes
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps.link_rounds import (
     APID,
@@ -369,13 +370,15 @@ def test_work_of_the_link() -> None:
     assert packet_work(100) == Work({"telemetry_bytes": 100, "crc_bytes": 100})
     assert packet_work(100, 70) == Work({"telemetry_bytes": 30, "image_bytes": 70, "crc_bytes": 100})
     ping = reference_decoder.telecommand_packet(17, 1, b"", APID, 5)
-    assert telecommand_work(ping) == Work({"telecommands": 1, "crc_bytes": 13})
-    assert telecommand_work(ping[:-1]) == Work({"telecommands": 1})  # refused before the sum
-    assert telecommand_work(b"") == Work({"telecommands": 1})
+    assert telecommand_work(error_controlled_bytes(ping)) == Work({"telecommands": 1, "crc_bytes": 13})
+    assert telecommand_work(error_controlled_bytes(ping[:-1])) == Work(
+        {"telecommands": 1}
+    )  # refused before the sum
+    assert telecommand_work(error_controlled_bytes(b"")) == Work({"telecommands": 1})
     assert round_work(Work(), Work()) == Work()
     sent = packet_work(20)
     assert round_work(sent, Work()) == sent + Work({"sending_rounds": 1})
-    assert round_work(Work(), telecommand_work(b""))["receiving_rounds"] == 1
+    assert round_work(Work(), telecommand_work(0))["receiving_rounds"] == 1
 
 
 def test_counts_predict_the_core_cycles_of_the_link(machine: ArmMachine) -> None:

@@ -18,7 +18,7 @@ from st_emulator.campaigns.workers import Progress, Workers
 from st_emulator.firmware_model.cycle_table import Coefficient, CycleTable, MemoryTiming
 from st_emulator.firmware_model.processor import ProcessorProfile
 from st_emulator.firmware_model.work import COUNTS
-from st_emulator.profile import UnitProfile, load_unit
+from st_emulator.units.profile import UnitProfile, load_unit
 
 
 @dataclass(frozen=True)

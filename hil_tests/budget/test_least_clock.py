@@ -22,7 +22,7 @@ from st_emulator.budget.least_clock import (
 from st_emulator.budget.samples import Look, Lost, look
 from st_emulator.budget.scenes import random_conditions
 from st_emulator.budget.subject import Subject, subject_of
-from st_emulator.profile import UnitProfile
+from st_emulator.units.profile import UnitProfile
 
 
 @given(st.integers(10**4, 10**6), st.floats(1.0, 500.0), st.floats(0.0, 2.0))

@@ -11,7 +11,7 @@ from st_emulator.budget.figures import Costing
 from st_emulator.budget.margins import margin_of
 from st_emulator.budget.subject import Subject, subject_of
 from st_emulator.errors import ConfigurationError
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import load_unit
 
 MS = 1_000_000
 ROJA1 = Subject(load_unit("roja1"))  # 250 ms, 100 ms exposure, 16.7 ms read-out

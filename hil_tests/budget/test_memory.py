@@ -6,11 +6,12 @@ import math
 
 import pytest
 
+from st_emulator.bench.star_tables import star_tables
 from st_emulator.budget.memory import ASSUMED, MIB, memory_of, search_bytes
 from st_emulator.budget.subject import Subject
-from st_emulator.configuration import firmware_configuration, star_tables
+from st_emulator.device.calibration import firmware_configuration
 from st_emulator.firmware_model.identification.algorithms import ALGORITHMS
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import load_unit
 
 UNITS = ("roja1", "zy3", "aps_rs")
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from st_emulator.bench.emulator import Emulator
+from st_emulator.bench.scenario import Scenario, ScenarioTelecommand, Sky
 from st_emulator.budget.samples import Instant, Look, counts_of, look
 from st_emulator.budget.scenes import frames_under, random_conditions
 from st_emulator.budget.subject import Subject, subject_of
 from st_emulator.budget.transmission import transmission_of
-from st_emulator.emulator import Emulator
 from st_emulator.firmware_model.modes import Mode
 from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import Work
-from st_emulator.scenario import Scenario, ScenarioTelecommand, Sky
 
 
 def test_a_sky_is_its_frames_and_their_reports(roja1):
@@ -101,7 +101,7 @@ def test_the_report_is_as_long_as_on_the_wire(roja1):
 
     Emulator(roja1, SCENARIO, transmit=transmit).advance(3_000_000_000)
     from st_emulator.protocol.framing import FrameReceived, SlipDecoder
-    from st_emulator.protocol.registry import parse_telemetry
+    from st_emulator.protocol.pus.registry import parse_telemetry
 
     events = SlipDecoder(4096).receive(b"".join(sent), 0)
     packets = [event.data for event in events if isinstance(event, FrameReceived)]

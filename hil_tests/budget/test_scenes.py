@@ -7,13 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from st_emulator.budget.scenes import (
-    Conditions,
-    FrameInputs,
-    frames_of,
-    frames_under,
-    random_conditions,
-)
+from st_emulator.budget.scenes import Conditions, FrameInputs, frames_of, frames_under, random_conditions
 from st_emulator.firmware_model.modes import Mode
 from st_emulator.firmware_model.work import Work
 from st_emulator.world import quaternion

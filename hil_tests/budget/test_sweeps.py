@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil_tests.budget.conftest import counts, hand_made
+from st_emulator.bench.scenario import InertialTrajectory, Scenario
 from st_emulator.budget.assessment import stop_rows
 from st_emulator.budget.figures import Costing
 from st_emulator.budget.modes import LOST_IN_SPACE, TRACKING, both
@@ -28,8 +29,7 @@ from st_emulator.budget.sweeps import (
     stop_of,
 )
 from st_emulator.firmware_model.reasons import Reason
-from st_emulator.profile import load_unit
-from st_emulator.scenario import InertialTrajectory, Scenario
+from st_emulator.units.profile import load_unit
 
 ROJA1 = Subject(load_unit("roja1"))
 # 100 MHz and 1000 cycles a count: 25,000 counts are the 250 ms of a frame

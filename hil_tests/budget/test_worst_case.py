@@ -9,23 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from st_emulator.bench.scenario import Scenario
 from st_emulator.budget.figures import Costing
 from st_emulator.budget.modes import LOST_IN_SPACE, TRACKING
 from st_emulator.budget.mutation import domain_of, mutated
 from st_emulator.budget.samples import Instant, Look, look
 from st_emulator.budget.scenes import Conditions, random_conditions
 from st_emulator.budget.subject import Subject
-from st_emulator.budget.worst_case import (
-    OBJECTIVES,
-    Island,
-    evolve,
-    place_from_json,
-    place_to_json,
-    search,
-)
+from st_emulator.budget.worst_case import OBJECTIVES, Island, evolve, place_from_json, place_to_json, search
 from st_emulator.campaigns.workers import Progress, Workers
-from st_emulator.profile import load_unit
-from st_emulator.scenario import Scenario
+from st_emulator.units.profile import load_unit
 
 ROJA1 = Subject(load_unit("roja1"))
 

@@ -15,7 +15,7 @@ from st_emulator.campaigns.zy3_table3 import PAPER, SCENARIOS, STRATA, Case
 from st_emulator.firmware_model.identification.algorithms import ALGORITHMS
 from st_emulator.firmware_model.identification.interface import Identification
 from st_emulator.firmware_model.reasons import Reason
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import load_unit
 from st_emulator.world import quaternion
 
 RESOLUTION = 214.5

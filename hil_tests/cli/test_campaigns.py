@@ -13,7 +13,7 @@ import time
 import pytest
 
 from st_emulator.campaigns.registry import CAMPAIGNS, campaigns
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import load_unit
 
 KEYS = {
     "accuracy": {"cross_boresight_arcsec_median", "cross_boresight_arcsec_p95"},
@@ -107,7 +107,7 @@ def test_earth_rate_fit_recovers_a_known_rotation():
 def test_a_unit_that_sees_nothing_fails_and_does_not_crash(command, tmp_path):
     from importlib import resources
 
-    text = (resources.files("st_emulator") / "profiles/roja1.toml").read_text(encoding="utf-8")
+    text = (resources.files("st_emulator") / "units/roja1.toml").read_text(encoding="utf-8")
     unit = tmp_path / "blind.toml"
     unit.write_text(text.replace("aperture_mm = 30.0", "aperture_mm = 0.5"))
     for name in ("accuracy", "centroids", "detection", "earth-rate", "lost-in-space", "star-quadruples"):
@@ -119,7 +119,7 @@ def test_a_unit_that_sees_nothing_fails_and_does_not_crash(command, tmp_path):
 def test_a_field_too_poor_for_the_test_of_windows_is_refused(refused, tmp_path):
     from importlib import resources
 
-    text = (resources.files("st_emulator") / "profiles/roja1.toml").read_text(encoding="utf-8")
+    text = (resources.files("st_emulator") / "units/roja1.toml").read_text(encoding="utf-8")
     unit = tmp_path / "poor.toml"
     unit.write_text(text.replace("limit_mag = 6.9 ", "limit_mag = 4.0 "))
     refused("campaign", "tracking-rate", "--n", "1", "--unit", unit, says=("9 catalogue stars", "limit_mag"))

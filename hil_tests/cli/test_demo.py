@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from hil_tests.vectors import reference_decoder
-from st_emulator import demo
-from st_emulator.demo import Session, demo_scenario, evaluate, read_truth, run_demo
+from st_emulator.bench.scenario import parse_scenario
+from st_emulator.commands import demo
+from st_emulator.commands.demo import Session, demo_scenario, evaluate, read_truth, run_demo
 from st_emulator.obc import Attitude
-from st_emulator.profile import load_unit
-from st_emulator.protocol.enumerations import Mode, Reason
-from st_emulator.scenario import parse_scenario
+from st_emulator.protocol.pus.enumerations import Mode, Reason
+from st_emulator.units.profile import load_unit
 
 ROJA1 = load_unit("roja1")
 ARCSEC = math.pi / 180 / 3600
@@ -152,7 +152,7 @@ def test_truth_that_is_cut_short_or_absent(tmp_path):
 @pytest.mark.parametrize("unit", ["roja1", "zy3", "science_cam", "aps_rs"])
 @pytest.mark.parametrize("seconds", [12.0, 30.0, 3600.0])
 def test_scenario_is_valid_and_turns_below_the_units_rate(unit, seconds):
-    from st_emulator.configuration import trajectory_of
+    from st_emulator.bench.world_of import trajectory_of
 
     profile = load_unit(unit)
     scenario = parse_scenario(demo_scenario(profile, seconds, 3), "demo")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from st_emulator.profile import load_unit, unit_names
+from st_emulator.units.profile import load_unit, unit_names
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = {
@@ -152,7 +152,7 @@ PROJECT = re.compile(r"this project's target")
 
 @pytest.mark.parametrize("name", unit_names())
 def test_every_figure_of_a_shipped_unit_says_where_it_comes_from(name):
-    lines = (ROOT / f"st_emulator/profiles/{name}.toml").read_text(encoding="utf-8").splitlines()
+    lines = (ROOT / f"st_emulator/units/{name}.toml").read_text(encoding="utf-8").splitlines()
     head = " ".join(line for line in lines if line.startswith("#"))
     letters = set(re.findall(r'"([A-Z])"', head))
     assert letters

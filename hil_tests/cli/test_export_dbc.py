@@ -10,7 +10,7 @@ import cantools
 import pytest
 
 from hil_tests.vectors import reference_can_frames as reference
-from st_emulator.profile import load_unit, unit_names, unit_text
+from st_emulator.units.profile import load_unit, unit_names, unit_text
 
 
 def nodes(text: str) -> list[str]:

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from st_emulator.bench.scenario import Scenario, parse_scenario
 from st_emulator.errors import ConfigurationError
-from st_emulator.profile import load_unit, parse_unit, unit_names
-from st_emulator.scenario import Scenario, parse_scenario
-from st_emulator.validation import validate
+from st_emulator.units.profile import load_unit, parse_unit, unit_names
+from st_emulator.units.validation import validate
 
-ROJA1 = (resources.files("st_emulator") / "profiles/roja1.toml").read_text(encoding="utf-8")
+ROJA1 = (resources.files("st_emulator") / "units/roja1.toml").read_text(encoding="utf-8")
 
 
 def changed(line_start: str, new_line: str, text: str = ROJA1) -> str:

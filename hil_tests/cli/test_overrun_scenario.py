@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from hil_tests.vectors import reference_decoder
-from st_emulator.journal import read_journal
+from st_emulator.bench.journal import read_journal
 
 SCENARIO = Path(__file__).parents[2] / "examples" / "overrun.toml"
 PERIOD_US, EXPOSURE_US, READOUT_US = 250_000, 100_000, 16_700  # roja1

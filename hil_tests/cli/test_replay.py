@@ -10,7 +10,7 @@ import pytest
 
 from hil_tests.cli.live import LiveUnit
 from hil_tests.vectors import reference_decoder
-from st_emulator.journal import read_journal
+from st_emulator.bench.journal import read_journal
 from st_emulator.obc import Obc
 
 PARAMETER_STORE_INVALID = 14

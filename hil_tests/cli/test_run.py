@@ -12,7 +12,7 @@ import pytest
 
 from hil_tests.cli.live import LiveUnit
 from hil_tests.vectors import reference_decoder
-from st_emulator.journal import read_journal
+from st_emulator.bench.journal import read_journal
 from st_emulator.obc import Obc
 
 SCENARIO = """
@@ -121,7 +121,7 @@ def test_quiet(command, scenario):
 def test_a_unit_with_brackets_in_its_title_and_a_long_path(command, tmp_path):
     from importlib import resources
 
-    text = (resources.files("st_emulator") / "profiles/roja1.toml").read_text(encoding="utf-8")
+    text = (resources.files("st_emulator") / "units/roja1.toml").read_text(encoding="utf-8")
     lines = ['title = "a [bold] b [/] c"' if line.startswith("title") else line for line in text.splitlines()]
     folder = tmp_path / ("long-" * 20)
     folder.mkdir()
@@ -209,10 +209,10 @@ def render(path: Path, number: int) -> np.ndarray:
     from astropy.io import fits
     from PIL import Image
 
-    from st_emulator.configuration import scene_of
-    from st_emulator.profile import load_unit
-    from st_emulator.scenario import InertialTrajectory, Scenario, Sky
-    from st_emulator.world.time_scales import tai_ns_from_utc
+    from st_emulator.bench.scenario import InertialTrajectory, Scenario, Sky
+    from st_emulator.bench.world_of import scene_of
+    from st_emulator.tai import tai_ns_from_utc
+    from st_emulator.units.profile import load_unit
 
     pointing = InertialTrajectory(ra_deg=RA_DEG, dec_deg=DEC_DEG, roll_deg=ROLL_DEG)
     # The firmware does not know the date of a recorded frame, so it cannot correct aberration.

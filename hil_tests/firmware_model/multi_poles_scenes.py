@@ -20,9 +20,7 @@ from st_emulator.firmware_model.identification.interface import (
     IdentificationParameters,
     Spikes,
 )
-from st_emulator.firmware_model.identification.multi_poles import (
-    identify,
-)
+from st_emulator.firmware_model.identification.multi_poles import identify
 from st_emulator.firmware_model.work import Work
 
 CAMERA = CameraGeometry(1024, 1024, 52.0 / 0.018)  # as the paper: 20 x 20 deg, 71.4 arcsec a pixel

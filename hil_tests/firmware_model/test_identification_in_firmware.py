@@ -17,7 +17,8 @@ from hil_tests.firmware_model.synthetic_sky import (
     vectors_of,
 )
 from hil_tests.firmware_model.test_pyramid import measure
-from st_emulator.configuration import cycle_budget, firmware_configuration
+from st_emulator.device.calibration import cycle_budget, firmware_configuration
+from st_emulator.device.parameters import default_parameters
 from st_emulator.firmware_model.catalogue.tables import StarTables
 from st_emulator.firmware_model.configuration import (
     DetectionParameters,
@@ -41,9 +42,8 @@ from st_emulator.firmware_model.modes import Mode
 from st_emulator.firmware_model.processor import CycleBudget, ProcessorProfile
 from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import COUNTS, Work
-from st_emulator.onboard.parameters import default_parameters
-from st_emulator.profile import Identification as IdentificationSection
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import Identification as IdentificationSection
+from st_emulator.units.profile import load_unit
 
 CAMERA = CameraGeometry(256, 256, 720.0)
 SKY = SyntheticSky.make(41, 1500, CAMERA, 6.0)

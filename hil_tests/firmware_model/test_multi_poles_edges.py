@@ -25,13 +25,8 @@ from st_emulator.firmware_model.catalogue.pairs import build_pair_catalogue
 from st_emulator.firmware_model.catalogue.star_catalogue import build_star_catalogue
 from st_emulator.firmware_model.catalogue.tables import StarTables
 from st_emulator.firmware_model.identification.algorithms import ALGORITHMS
-from st_emulator.firmware_model.identification.interface import (
-    IdentificationParameters,
-    Spikes,
-)
-from st_emulator.firmware_model.identification.multi_poles import (
-    identify,
-)
+from st_emulator.firmware_model.identification.interface import IdentificationParameters, Spikes
+from st_emulator.firmware_model.identification.multi_poles import identify
 from st_emulator.firmware_model.reasons import Reason
 
 

@@ -22,9 +22,9 @@ from st_emulator.obc import (
     TelecommandNotDelivered,
     UnitNotChosenError,
 )
-from st_emulator.profile import load_unit, unit_text
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_messages import CanIdentifiers
+from st_emulator.protocol.can.cyclic import CanIdentifiers
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.units.profile import load_unit, unit_text
 
 PATIENCE_S = 30.0
 

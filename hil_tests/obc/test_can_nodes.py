@@ -13,7 +13,7 @@ from hil_tests.obc.transport_ends import counted, drain, hexes, told
 from st_emulator.obc import CanTransport, ObcProtocol, UnitNotChosenError
 from st_emulator.obc.obc_protocol import TelemetryReceived
 from st_emulator.obc.transport import CyclicMalformed, PacketReceived
-from st_emulator.protocol.can_messages import CanIdentifiers
+from st_emulator.protocol.can.cyclic import CanIdentifiers
 
 UNIT, OBC = 0x58A, 0x60A  # node 10
 PACKET = bytes(range(1, 31))

@@ -42,10 +42,10 @@ from st_emulator.obc import (
     UnitNotChosenError,
     VerificationError,
 )
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_messages import CanIdentifiers
-from st_emulator.protocol.enumerations import Reason
+from st_emulator.protocol.can.cyclic import CanIdentifiers
+from st_emulator.protocol.can.frames import CanFrame
 from st_emulator.protocol.errors import LocalProtocolError
+from st_emulator.protocol.pus.enumerations import Reason
 
 MS = 1_000_000
 

@@ -28,17 +28,11 @@ from hil_tests.obc.can_unit import (
     status,
 )
 from st_emulator.links import memory_link_pair
-from st_emulator.obc import (
-    CanTransport,
-    Obc,
-    Recorder,
-    SteppedReader,
-    read_recording,
-)
+from st_emulator.obc import CanTransport, Obc, Recorder, SteppedReader, read_recording
 from st_emulator.obc.cli import obc_app
 from st_emulator.obc.watching import live_table
-from st_emulator.profile import load_unit
-from st_emulator.protocol.can_messages import CanIdentifiers
+from st_emulator.protocol.can.cyclic import CanIdentifiers
+from st_emulator.units.profile import load_unit
 
 Run = Callable[..., Result]
 

@@ -15,10 +15,10 @@ from hil_tests.obc.transport_ends import counted, drain, hexes, told
 from st_emulator.obc import CanSettings, CanTransport, ObcProtocol, SlipTransport, State
 from st_emulator.obc.obc_protocol import VerificationUpdated
 from st_emulator.obc.transport import CyclicReceived, PacketReceived
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_messages import CanIdentifiers
-from st_emulator.protocol.can_transport import FrameIgnored, ReceptionFailed
-from st_emulator.protocol.enumerations import TransferFailure
+from st_emulator.protocol.can.cyclic import CanIdentifiers
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.can.transport import FrameIgnored, ReceptionFailed
+from st_emulator.protocol.pus.enumerations import TransferFailure
 
 MS = 1_000_000
 S = 1_000_000_000

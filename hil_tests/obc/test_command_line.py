@@ -20,7 +20,7 @@ from st_emulator.obc.commands import COMMANDS, CommandError, parse_line
 from st_emulator.obc.session import Session
 from st_emulator.obc.shell import _Shell
 from st_emulator.obc.watching import live_table, watch
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import load_unit
 
 Run = Callable[..., Result]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
-from st_emulator.protocol.can_frames import CAN_FD_LENGTHS, CanFrame
+from st_emulator.protocol.can.frames import CAN_FD_LENGTHS, CanFrame
 
 # Runs of equal bits make stuff bits, which evenly drawn bytes seldom do.
 DATA_BYTES = st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0xFF, 0x0F, 0xF0, 0x1F, 0x83, 0xE0, 0x07]))

@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from st_emulator.protocol import Case, CucTime, Data, Field, MessageDefinition, Repeated, Switched
-from st_emulator.protocol.field_types import as_float32
+from st_emulator.protocol.pus.field_types import as_float32
 
 CUC_TIMES = st.builds(CucTime, st.integers(0, 2**32 - 1), st.integers(0, 2**24 - 1))
 

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from hil_tests.protocol.can_frame_strategies import bus_frames, data_of
 from st_emulator.protocol import LocalProtocolError
-from st_emulator.protocol.can_bits import (
+from st_emulator.protocol.can.bits import (
     BUS_OFF_RECOVERY_BITS,
     bits_duration_ns,
     frame_bits,
     frame_duration_ns,
 )
-from st_emulator.protocol.can_frames import CAN_FD_LENGTHS, CanFrame
+from st_emulator.protocol.can.frames import CAN_FD_LENGTHS, CanFrame
 
 # -- the frame, bit by bit, from the text of ISO 11898-1: (bit, the field it belongs to)
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from hil_tests.protocol.can_frame_strategies import bus_frames, frames
 from st_emulator.protocol import LocalProtocolError
-from st_emulator.protocol.can_frames import (
+from st_emulator.protocol.can.frames import (
     CAN_FD_LENGTHS,
     MAX_RECORD_BYTES,
     CanFrame,

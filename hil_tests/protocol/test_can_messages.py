@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil_tests.vectors import reference_can_frames as reference
-from st_emulator.protocol.can_messages import (
+from st_emulator.protocol.can.cyclic import (
     CAN_MESSAGES,
     CAN_MESSAGES_BY_NAME,
     IDENTIFIER_NAMES,
@@ -27,8 +27,8 @@ from st_emulator.protocol.can_messages import (
     encode_can_message,
     highest_base,
 )
-from st_emulator.protocol.enumerations import CanState, Mode, Reason
 from st_emulator.protocol.errors import LocalProtocolError
+from st_emulator.protocol.pus.enumerations import CanState, Mode, Reason
 
 FILE = Path(__file__).parents[1] / "vectors" / "golden_can_frames.json"
 VECTORS = {vector["name"]: vector for vector in json.loads(FILE.read_text())["vectors"]}

@@ -17,8 +17,8 @@ from hil_tests.protocol.transport_end import (
     sending,
 )
 from st_emulator.protocol import LocalProtocolError
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_transport import IsoTpSettings, PduReceived, PduSent
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.can.transport import IsoTpSettings, PduReceived, PduSent
 
 # --- Good transfers ---
 

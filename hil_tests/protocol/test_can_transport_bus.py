@@ -27,8 +27,8 @@ from hil_tests.protocol.transport_bus import (
 )
 from hil_tests.protocol.transport_end import UNIT
 from hil_tests.protocol.transport_reference import Reference
-from st_emulator.protocol.can_frames import CAN_FD_LENGTHS, CanFrame
-from st_emulator.protocol.can_transport import (
+from st_emulator.protocol.can.frames import CAN_FD_LENGTHS, CanFrame
+from st_emulator.protocol.can.transport import (
     IsoTpConnection,
     IsoTpEvent,
     IsoTpSettings,

@@ -22,9 +22,9 @@ from hil_tests.protocol.transport_end import (
     receiving,
     sending,
 )
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_transport import FrameIgnored, IsoTpSettings, PduReceived, PduSent
-from st_emulator.protocol.enumerations import TransferFailure as Why
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.can.transport import FrameIgnored, IsoTpSettings, PduReceived, PduSent
+from st_emulator.protocol.pus.enumerations import TransferFailure as Why
 
 # --- Frames to ignore ---
 

@@ -19,8 +19,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil_tests.protocol.transport_bus import FRAME_NS, GOOD, LOST, MS, Bus, Ours, S
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_transport import IsoTpSettings
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.can.transport import IsoTpSettings
 
 STEP_NS = 1  # its timers are over when more than their time has passed
 

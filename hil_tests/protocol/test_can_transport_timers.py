@@ -19,9 +19,9 @@ from hil_tests.protocol.transport_end import (
     receiving,
     sending,
 )
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_transport import FrameIgnored, IsoTpEvent, PduReceived, PduSent
-from st_emulator.protocol.enumerations import TransferFailure as Why
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.can.transport import FrameIgnored, IsoTpEvent, PduReceived, PduSent
+from st_emulator.protocol.pus.enumerations import TransferFailure as Why
 
 N_AS, N_BS, N_CR = 2 * S, 3 * S, 5 * S
 SLOW = replace(UNIT, n_as_ns=N_AS, n_bs_ns=N_BS, n_cr_ns=N_CR)

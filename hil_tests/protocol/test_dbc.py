@@ -16,8 +16,7 @@ from cantools.database.can import Database, Message
 from hypothesis import given
 from hypothesis import strategies as st
 
-from st_emulator.protocol.can_frames import CanFrame, candump_line
-from st_emulator.protocol.can_messages import (
+from st_emulator.protocol.can.cyclic import (
     CAN_MESSAGES,
     IDENTIFIER_NAMES,
     CanIdentifiers,
@@ -27,7 +26,8 @@ from st_emulator.protocol.can_messages import (
     default_bases,
     encode_can_message,
 )
-from st_emulator.protocol.can_transport import IsoTpConnection, IsoTpSettings, PduReceived
+from st_emulator.protocol.can.frames import CanFrame, candump_line
+from st_emulator.protocol.can.transport import IsoTpConnection, IsoTpSettings, PduReceived
 from st_emulator.protocol.errors import LocalProtocolError
 from st_emulator.protocol.exporters.dbc import DbcUnit, can_database
 

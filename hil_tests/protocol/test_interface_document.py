@@ -22,9 +22,8 @@ from st_emulator.protocol import (
     Switched,
     encode_telecommand,
     encode_telemetry,
-    enumerations,
 )
-from st_emulator.protocol.can_messages import (
+from st_emulator.protocol.can.cyclic import (
     CAN_MESSAGES,
     IDENTIFIER_NAMES,
     CanIdentifiers,
@@ -32,6 +31,7 @@ from st_emulator.protocol.can_messages import (
     encode_can_message,
 )
 from st_emulator.protocol.exporters import interface_control_document
+from st_emulator.protocol.pus import enumerations
 
 TEXT = interface_control_document()
 LINES = TEXT.splitlines()

@@ -39,12 +39,12 @@ from st_emulator.protocol import (
     encode_image_header,
     encode_telecommand,
     encode_telemetry,
-    enumerations,
     field_violation,
     parse_telecommand,
     parse_telemetry,
 )
 from st_emulator.protocol.errors import RemoteProtocolError
+from st_emulator.protocol.pus import enumerations
 
 TM_HEADER: dict[str, Any] = {
     "apid": 100,

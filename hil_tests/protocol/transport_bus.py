@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_transport import (
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.can.transport import (
     IsoTpConnection,
     IsoTpEvent,
     IsoTpSettings,

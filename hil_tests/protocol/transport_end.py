@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_transport import (
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.can.transport import (
     IsoTpConnection,
     IsoTpEvent,
     IsoTpSettings,
     ReceptionFailed,
     TransmissionFailed,
 )
-from st_emulator.protocol.enumerations import TransferFailure as Why
+from st_emulator.protocol.pus.enumerations import TransferFailure as Why
 
 UNIT = IsoTpSettings(transmit_identifier=0x58A, receive_identifier=0x60A)
 FD = replace(UNIT, fd=True, frame_bytes=64)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hil_tests.vectors import reference_decoder
-from st_emulator.emulator import Emulator
-from st_emulator.profile import load_unit
-from st_emulator.scenario import InertialTrajectory, Scenario, ScenarioTelecommand
+from st_emulator.bench.emulator import Emulator
+from st_emulator.bench.scenario import InertialTrajectory, Scenario, ScenarioTelecommand
+from st_emulator.units.profile import load_unit
 
 BLINDED = 4
 

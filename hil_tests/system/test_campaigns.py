@@ -8,7 +8,7 @@ from rich.console import Console
 from st_emulator.campaigns.campaign import CampaignRequest, CampaignResult
 from st_emulator.campaigns.registry import campaigns
 from st_emulator.campaigns.workers import Progress, Workers
-from st_emulator.profile import load_unit
+from st_emulator.units.profile import load_unit
 
 
 def campaign(name: str, unit: str, n: int) -> CampaignResult:

@@ -18,7 +18,7 @@ from st_emulator.campaigns.plotting import write_plot
 from st_emulator.campaigns.straight_tracks import METHODS, Track, crossing_mag, straight_line, summary
 from st_emulator.campaigns.workers import Progress, Workers
 from st_emulator.errors import ConfigurationError
-from st_emulator.profile import load_unit, parse_unit, unit_text
+from st_emulator.units.profile import load_unit, parse_unit, unit_text
 
 
 def request(n: int, seed: int = 3) -> CampaignRequest:

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from hil_tests.vectors import reference_decoder
-from st_emulator.configuration import firmware_configuration, processor_profile, star_tables
-from st_emulator.emulator import Emulator
+from st_emulator.bench.emulator import Emulator
+from st_emulator.bench.scenario import Scenario, ScenarioTelecommand
+from st_emulator.bench.star_tables import star_tables
+from st_emulator.device.calibration import firmware_configuration, processor_profile
+from st_emulator.device.parameters import default_parameters
 from st_emulator.firmware_model.firmware import FirmwareState, FrameContext, process_frame
 from st_emulator.firmware_model.modes import Mode
-from st_emulator.onboard.parameters import default_parameters
-from st_emulator.profile import load_unit
-from st_emulator.scenario import Scenario, ScenarioTelecommand
+from st_emulator.units.profile import load_unit
 from st_emulator.world.recorded import RecordedFrame, RecordedFrames
 
 FOLDER = Path(__file__).parents[2].parent / "shared" / "data" / "real_sky"

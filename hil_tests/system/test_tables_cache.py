@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from st_emulator import tables_cache
+from st_emulator.bench import tables_cache
+from st_emulator.bench.star_tables import star_tables
+from st_emulator.bench.tables_cache import TableFigures, build_arrays, key_of, star_tables_of
 from st_emulator.compiled_kernels import keep_compiled_kernels
-from st_emulator.configuration import star_tables
 from st_emulator.firmware_model.catalogue.tables import StarTables
-from st_emulator.profile import load_unit
-from st_emulator.tables_cache import TableFigures, build_arrays, key_of, star_tables_of
+from st_emulator.units.profile import load_unit
 
 FIGURES = TableFigures(limit_mag=3.5, epoch_jyear=2026.0, resolution_rad=1e-3, max_angle_rad=0.4)
 
@@ -83,7 +83,7 @@ def test_a_process_that_maps_the_tables_has_no_copy_of_them(tmp_path: Path) -> N
     star_tables_of(figures, tmp_path)
     script = (
         "import re\nfrom pathlib import Path\n"
-        "from st_emulator.tables_cache import TableFigures, star_tables_of\n"
+        "from st_emulator.bench.tables_cache import TableFigures, star_tables_of\n"
         "def own_kib():\n"
         "    text = Path('/proc/self/smaps_rollup').read_text()\n"
         "    return int(re.search(r'Anonymous: *(\\d+)', text)[1])\n"
@@ -101,8 +101,9 @@ def test_a_units_tables_come_from_the_cache_folder(tmp_path: Path, monkeypatch: 
     """The file that `star_tables` of a unit leaves is one that another process finds."""
     profile = load_unit("zy3")
     script = (
-        "from st_emulator.configuration import star_tables; from st_emulator.profile import load_unit\n"
-        "from st_emulator.onboard.self_test import digest_of\n"
+        "from st_emulator.bench.star_tables import star_tables\n"
+        "from st_emulator.units.profile import load_unit\n"
+        "from st_emulator.device.memories import digest_of\n"
         "print(digest_of(star_tables(load_unit('zy3'))).hex())"
     )
     compiled = {"NUMBA_CACHE_DIR": str(keep_compiled_kernels())}
@@ -113,7 +114,7 @@ def test_a_units_tables_come_from_the_cache_folder(tmp_path: Path, monkeypatch: 
         text=True,
         check=True,
     )
-    from st_emulator.onboard.self_test import digest_of
+    from st_emulator.device.memories import digest_of
 
     assert run.stdout.strip() == digest_of(star_tables(profile)).hex()
     assert len(list((tmp_path / "st-emulator").glob("tables-*.bin"))) == 1
@@ -202,7 +203,7 @@ def test_processes_that_come_at_once_get_the_same_tables(tmp_path: Path, built: 
     """Six, while the file is damaged again and again under them; none fails, none gets other tables."""
     script = (
         "import hashlib, sys\nfrom pathlib import Path\n"
-        "from st_emulator.tables_cache import TableFigures, star_tables_of\n"
+        "from st_emulator.bench.tables_cache import TableFigures, star_tables_of\n"
         "print('ready', flush=True); sys.stdin.readline()\n"
         "for _ in range(20):\n"
         f"    tables = star_tables_of({FIGURES!r}, Path({str(tmp_path)!r}))\n"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from st_emulator.clock import VirtualClock
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.enumerations import CanState
-from st_emulator.wire.can_bus import CanBus, CanBusSettings, Disturbance
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.pus.enumerations import CanState
+from st_emulator.wire.can.bus import CanBus, CanBusSettings, Disturbance
 
 Log = list[tuple[int, str, CanFrame]]
 

@@ -12,11 +12,11 @@ import pytest
 from hil_tests.vectors import reference_can_frames as cyclic
 from hil_tests.vectors import reference_decoder as wire
 from hil_tests.vectors.reference_can import Peer, record
-from st_emulator.can_profile import CanBases
-from st_emulator.emulator import Emulator
-from st_emulator.profile import UnitProfile, load_unit
-from st_emulator.scenario import Scenario
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.bench.emulator import Emulator
+from st_emulator.bench.scenario import Scenario
+from st_emulator.units.can_section import CanBases
+from st_emulator.units.profile import UnitProfile, load_unit
+from st_emulator.wire.can.wiring import CanWiring
 
 MS = 1_000_000
 SOURCE = 0x2A
@@ -222,7 +222,7 @@ class Bench:
             self.function("START_ACQUISITION", ack=0)
             self.run_until(lambda: self.emulator.unit.mode == MODE["TRACKING"])
         elif mode == "FAULT":
-            from st_emulator.protocol.enumerations import FaultCause
+            from st_emulator.protocol.pus.enumerations import FaultCause
 
             self.emulator.unit.enter_fault(FaultCause.COMMANDED)
         self.run(10)

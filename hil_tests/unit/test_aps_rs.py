@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from st_emulator.configuration import firmware_configuration
+from st_emulator.device.calibration import firmware_configuration
+from st_emulator.device.parameters import default_parameters
 from st_emulator.firmware_model.identification import multi_poles
 from st_emulator.firmware_model.image.detection import detect
-from st_emulator.onboard.parameters import default_parameters
-from st_emulator.profile import load_unit, parse_unit, unit_text
+from st_emulator.units.profile import load_unit, parse_unit, unit_text
 
 UNIT = load_unit("aps_rs")
 EXPOSURE_S = UNIT.timing.exposure_ms / 1000

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from hil_tests.unit.can_bench import CanBench, Log
 from st_emulator.protocol import LocalProtocolError
-from st_emulator.protocol.can_bits import frame_duration_ns
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.wire import can_bus
+from st_emulator.protocol.can.bits import frame_duration_ns
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.wire.can import bus as can_bus
 
 MS = 1_000_000
 BARE_NS = 111_000  # of the frames below at 1 Mbit/s: nothing to stuff in them

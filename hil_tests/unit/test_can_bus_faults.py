@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil_tests.unit.can_bench import CanBench
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.enumerations import CanState
-from st_emulator.wire.can_bus import BusError, Disturbance
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.pus.enumerations import CanState
+from st_emulator.wire.can.bus import BusError, Disturbance
 
 ACTIVE, PASSIVE, OFF = CanState.ERROR_ACTIVE, CanState.ERROR_PASSIVE, CanState.BUS_OFF
 US, MS = 1_000, 1_000_000

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.enumerations import CanState
-from st_emulator.wire.can_controller import BusError, FaultConfinement, failed_attempt_ns
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.protocol.pus.enumerations import CanState
+from st_emulator.wire.can.controller import BusError, FaultConfinement, failed_attempt_ns
 
 ACTIVE, PASSIVE, OFF = CanState.ERROR_ACTIVE, CanState.ERROR_PASSIVE, CanState.BUS_OFF
 COUNTED_ERRORS = [error for error in BusError if error is not BusError.STUFF]

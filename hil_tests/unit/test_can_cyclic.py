@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from hil_tests.vectors.reference_can import classic_bits, record
-from st_emulator.scenario import parse_scenario
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.bench.scenario import parse_scenario
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import MODE, MS, WIDE, CanBench, make_can
 from .test_images import Gaps

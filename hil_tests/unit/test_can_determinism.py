@@ -13,12 +13,12 @@ from rich.console import Console
 
 from hil_tests.vectors import reference_can as can
 from hil_tests.vectors import reference_decoder as wire
-from st_emulator.demo import mode_changes
-from st_emulator.journal import read_journal
-from st_emulator.protocol.enumerations import Mode
-from st_emulator.replaying import emulator_of, feed, frame_of, refusals_of, replay_journal
-from st_emulator.scenario import parse_scenario
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.bench.journal import read_journal
+from st_emulator.bench.scenario import parse_scenario
+from st_emulator.commands.demo import mode_changes
+from st_emulator.commands.replaying import emulator_of, feed, frame_of, refusals_of, replay_journal
+from st_emulator.protocol.pus.enumerations import Mode
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import MS, CanBench, make_can
 from .test_determinism import SCENARIO

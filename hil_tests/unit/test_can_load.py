@@ -7,7 +7,7 @@ import pytest
 from hil_tests.vectors import reference_can as can
 from hil_tests.vectors import reference_decoder as wire
 from hil_tests.vectors.reference_can import classic_bits, record
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import MS, WIDE, CanBench, make_can
 

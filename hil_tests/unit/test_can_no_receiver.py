@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from st_emulator.protocol.enumerations import EventId
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.protocol.pus.enumerations import EventId
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import FUNCTION, MODE, MS, CanBench, Packet, make_can
 

@@ -6,8 +6,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from hil_tests.vectors.reference_can import record
-from st_emulator.wire.can_bus import BusError
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.wire.can.bus import BusError
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import CanBench, make_can
 from .test_can_unit_faults import Fault

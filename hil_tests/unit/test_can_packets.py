@@ -7,10 +7,10 @@ import pytest
 from hil_tests.vectors import reference_can as can
 from hil_tests.vectors import reference_decoder as wire
 from hil_tests.vectors.reference_can import Peer, classic_bits
-from st_emulator.emulator import Emulator
-from st_emulator.listening import TelemetryListener
-from st_emulator.profile import load_unit
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.bench.emulator import Emulator
+from st_emulator.obc.listening import TelemetryListener
+from st_emulator.units.profile import load_unit
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import SOURCE, WIDE, CanBench, make_can
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hil_tests.vectors.reference_can import error_record, record, remote_record
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import EVENT, MODE, CanBench, make_can
 

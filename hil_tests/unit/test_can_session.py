@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
-from st_emulator.protocol.registry import REGISTRY
-from st_emulator.scenario import parse_scenario
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.bench.scenario import parse_scenario
+from st_emulator.protocol.pus.registry import REGISTRY
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import EVENT, FUNCTION, WIDE, Bench, CanBench, make, make_can
 from .test_verification import EXAMPLES

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from hil_tests.vectors.reference_can import error_record, record
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.wire.can_bus import BusError
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.protocol.can.frames import CanFrame
+from st_emulator.wire.can.bus import BusError
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import MS, CanBench, make, make_can
 

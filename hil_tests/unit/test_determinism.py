@@ -11,13 +11,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hil_tests.vectors import reference_decoder as wire
-from st_emulator.emulator import Emulator
+from st_emulator.bench.emulator import Emulator
+from st_emulator.bench.journal import JournalEntry, read_journal
+from st_emulator.bench.scenario import parse_scenario
+from st_emulator.commands.replaying import emulator_of, feed, first_difference
+from st_emulator.device.store import FileStore
 from st_emulator.errors import ConfigurationError
-from st_emulator.journal import JournalEntry, read_journal
-from st_emulator.onboard.parameter_store import FileStore
-from st_emulator.profile import load_unit
-from st_emulator.replaying import emulator_of, feed, first_difference
-from st_emulator.scenario import parse_scenario
+from st_emulator.units.profile import load_unit
 
 MS = 1_000_000
 ROJA1 = load_unit("roja1")

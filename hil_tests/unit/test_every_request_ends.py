@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.wire.can.wiring import CanWiring
 
 from .conftest import make
 

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import pytest
 
 from hil_tests.vectors.reference_can import Peer
-from st_emulator import realtime
-from st_emulator.emulator import Emulator
-from st_emulator.profile import load_unit
-from st_emulator.protocol.can_messages import TELEMETRY
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.bench.emulator import Emulator
+from st_emulator.drivers import realtime
+from st_emulator.protocol.can.cyclic import TELEMETRY
+from st_emulator.units.profile import load_unit
+from st_emulator.wire.can.wiring import CanWiring
 
 HELD_UP_NS = 1_500_000_000  # over N_Bs; over twice N_Bs it is a time for which no bench can answer
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
-from st_emulator.configuration import scene_of
-from st_emulator.emulator import Emulator
+from st_emulator.bench.emulator import Emulator
+from st_emulator.bench.scenario import Scenario
+from st_emulator.bench.world_of import scene_of
 from st_emulator.errors import ConfigurationError
-from st_emulator.profile import UnitProfile, load_unit
-from st_emulator.protocol.enumerations import FaultCause
-from st_emulator.scenario import Scenario
-from st_emulator.validation import validate
+from st_emulator.protocol.pus.enumerations import FaultCause
+from st_emulator.units.profile import UnitProfile, load_unit
+from st_emulator.units.validation import validate
 
 from .conftest import MS, SOURCE, Bench, MakeBench
 

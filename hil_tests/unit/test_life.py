@@ -3,7 +3,7 @@
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
-from st_emulator.protocol.enumerations import FaultCause, ResetCause
+from st_emulator.protocol.pus.enumerations import FaultCause, ResetCause
 
 from .conftest import MODE, MS, Bench, MakeBench, Packet
 

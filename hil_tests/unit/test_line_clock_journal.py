@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from st_emulator.bench.journal import JournalWriter, read_journal
 from st_emulator.clock import VirtualClock
 from st_emulator.errors import ConfigurationError
-from st_emulator.journal import JournalWriter, read_journal
 from st_emulator.wire.serial_line import SerialLine
 
 

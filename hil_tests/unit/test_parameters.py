@@ -15,15 +15,15 @@ from typing import Any
 
 import pytest
 
+from st_emulator.device.store import FileStore, StoreContents
 from st_emulator.errors import ConfigurationError
-from st_emulator.onboard.parameter_store import FileStore, StoreContents
 
 from .conftest import PARAMETER, Bench, MakeBench
 
 
 def factory_values() -> dict[str, float]:
     """The unit file's figures, read with nothing of the project."""
-    path = Path(__file__).parents[2] / "st_emulator" / "profiles" / "roja1.toml"
+    path = Path(__file__).parents[2] / "st_emulator" / "units" / "roja1.toml"
     unit = tomllib.loads(path.read_text())
     return {
         "exposure_us": int(unit["timing"]["exposure_ms"] * 1000),
@@ -250,7 +250,7 @@ def test_a_write_replaces_the_file_whole(store_path: Path, monkeypatch: pytest.M
 
 WRITER = """
 import sys
-from st_emulator.onboard.parameter_store import FileStore, StoreContents
+from st_emulator.device.store import FileStore, StoreContents
 store = FileStore(sys.argv[1], "roja1")
 number = store.load()[0].boot_count
 print("ready", flush=True)

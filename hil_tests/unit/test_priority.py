@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from st_emulator import realtime
+from st_emulator.drivers import realtime
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="no scheduling policies here")
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil_tests.vectors import reference_decoder as wire
-from st_emulator.onboard.onboard_time import OnboardTime
-from st_emulator.protocol.packets import CucTime
+from st_emulator.device.onboard_time import OnboardTime
+from st_emulator.protocol.pus.packets import CucTime
 
 from .conftest import MS, Bench, MakeBench
 

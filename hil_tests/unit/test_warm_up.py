@@ -4,8 +4,8 @@ import subprocess
 
 import pytest
 
-from st_emulator import warm_up
-from st_emulator.profile import load_unit
+from st_emulator.commands import warm_up
+from st_emulator.units.profile import load_unit
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from st_emulator.tai import tai_ns_from_utc
 from st_emulator.world import quaternion, time_scales
 from st_emulator.world.bodies import Earth, Moon, ObserverState, Stray, Sun
 from st_emulator.world.camera import CameraModel
@@ -23,7 +24,7 @@ EXPOSURE_NS = 200_000_000
 
 
 def at(utc: str, trajectory: Trajectory = CENTRE, t_ns: int = 0) -> ObserverState:
-    return ObserverState.at(trajectory, t_ns, time_scales.tai_ns_from_utc(utc))
+    return ObserverState.at(trajectory, t_ns, tai_ns_from_utc(utc))
 
 
 def unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -63,7 +64,7 @@ def test_moon_stands_opposite_the_sun_in_a_lunar_eclipse() -> None:
 
 def test_moon_hides_the_sun_where_the_eclipse_is_total() -> None:
     # total solar eclipse of 2026-08-12, 17:46 UT, off Iceland at 65.2 N 25.2 W
-    start = time_scales.tai_ns_from_utc("2026-08-12T17:45:53Z")
+    start = tai_ns_from_utc("2026-08-12T17:45:53Z")
     there = earth_fixed(ra_deg=0.0, dec_deg=0.0, start_tai_ns=start, latitude_deg=65.2, longitude_deg=-25.2)
     state = ObserverState.at(there, 0, start)
     assert separation_deg(state.moon_km(), state.sun_km) < 0.02
@@ -179,7 +180,7 @@ def test_earth_is_measured_from_its_limb_and_lit_by_day(camera: CameraModel) -> 
 
 
 def test_earth_is_no_body_without_a_place_or_on_the_ground(camera: CameraModel) -> None:
-    start = time_scales.tai_ns_from_utc("2026-03-20T12:00Z")
+    start = tai_ns_from_utc("2026-03-20T12:00Z")
     site = earth_fixed(ra_deg=0.0, dec_deg=0.0, start_tai_ns=start, latitude_deg=50.0, longitude_deg=10.0)
     boresight = np.array([1.0, 0.0, 0.0])
     for trajectory in (CENTRE, site):
@@ -190,7 +191,7 @@ def test_earth_is_no_body_without_a_place_or_on_the_ground(camera: CameraModel) 
 def test_sun_below_the_horizon_of_a_site_gives_no_light(camera: CameraModel) -> None:
     boresight = np.array([0.0, 0.0, 1.0])
     for utc, up in (("2026-06-21T12:00Z", True), ("2026-06-21T00:00Z", False)):
-        start = time_scales.tai_ns_from_utc(utc)
+        start = tai_ns_from_utc(utc)
         site = earth_fixed(ra_deg=0.0, dec_deg=0.0, start_tai_ns=start, latitude_deg=30.0, longitude_deg=0.0)
         stray = Sun(30.0, 1.0).stray(ObserverState.at(site, 0, start), boresight, EXPOSURE_NS, camera, 0.01)
         assert (stray is not None) == up
@@ -222,7 +223,7 @@ Make = Callable[..., StarField]
 
 
 def test_the_picture_brightens_towards_the_body(camera: CameraModel, make_field: Make) -> None:
-    start = time_scales.tai_ns_from_utc("2026-05-01T00:00Z")
+    start = tai_ns_from_utc("2026-05-01T00:00Z")
     sun = unit(at("2026-05-01T00:00Z").sun_km)
     boresight = pointing_at(sun, 32.0)
     ra, dec = erfa.c2s(boresight)
@@ -246,7 +247,7 @@ def test_the_picture_brightens_towards_the_body(camera: CameraModel, make_field:
 
 
 def test_looking_at_the_sun_fills_every_pixel(hipparcos: StarField, camera: CameraModel) -> None:
-    start = time_scales.tai_ns_from_utc("2026-05-01T00:00Z")
+    start = tai_ns_from_utc("2026-05-01T00:00Z")
     ra, dec = erfa.c2s(at("2026-05-01T00:00Z").sun_km)
     pointing = inertial(ra_deg=float(np.degrees(ra)), dec_deg=float(np.degrees(dec)) + 0.3)
     small_well = dataclasses.replace(camera, full_well_electrons=20000.0)

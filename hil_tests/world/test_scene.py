@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
+from st_emulator.tai import tai_ns_from_utc
 from st_emulator.world import quaternion, stars, time_scales
 from st_emulator.world.bodies import Moon, Sun
 from st_emulator.world.camera import CameraModel
@@ -137,7 +138,7 @@ def test_projection_is_the_cameras_and_roll_the_conventions(
 def test_stars_stand_where_aberration_puts_them(hipparcos: StarField, camera: CameraModel) -> None:
     """By SOFA: the Earth's velocity by epv00 plus the orbit's own, applied by ab; then attitude and lens."""
     trajectory = orbit(altitude_km=500.0, inclination_deg=97.4, raan_deg=80.0, argument_deg=12.0)
-    start = time_scales.tai_ns_from_utc("2026-09-01T00:00:00Z")
+    start = tai_ns_from_utc("2026-09-01T00:00:00Z")
     scene = SceneRenderer(camera, hipparcos, trajectory, start_tai_ns=start)
     frame = scene.frame(0, 17_000_000_000, 1_000_000)
     truth = scene.truth(frame)
@@ -164,7 +165,7 @@ def test_parallax_moves_near_stars_only_when_wanted(hipparcos: StarField, camera
     row = int(np.searchsorted(hipparcos.hip, 32349))
     ra, dec = erfa.c2s(hipparcos.unit_vectors[row])
     pointing = {"ra_deg": float(np.degrees(ra)), "dec_deg": float(np.degrees(dec))}
-    start = time_scales.tai_ns_from_utc("2026-03-30T00:00:00Z")
+    start = tai_ns_from_utc("2026-03-30T00:00:00Z")
     places = []
     for parallax in (False, True):
         scene = SceneRenderer(

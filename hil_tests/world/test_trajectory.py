@@ -6,6 +6,7 @@ import erfa
 import numpy as np
 import pytest
 
+from st_emulator.tai import tai_ns_from_utc
 from st_emulator.world import quaternion, time_scales
 from st_emulator.world.orbit import orbit
 from st_emulator.world.slew import Hold, RateAxis, SlewTo, slew
@@ -20,7 +21,7 @@ from st_emulator.world.trajectory import (
 )
 
 NS = 1_000_000_000
-START = time_scales.tai_ns_from_utc("2026-03-20T12:00:00Z")
+START = tai_ns_from_utc("2026-03-20T12:00:00Z")
 
 MANOEUVRES = slew(
     ra_deg=40.0,

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntFlag
 
-from ..can_messages import (
+from ..can.cyclic import (
     CAN_MESSAGES,
     TELECOMMAND,
     TELEMETRY,
@@ -23,7 +23,7 @@ from ..can_messages import (
     Signal,
 )
 from ..errors import LocalProtocolError
-from ..fields import meaning_of
+from ..pus.fields import meaning_of
 
 OBC = "OBC"
 MAX_NAME = 32

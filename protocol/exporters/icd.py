@@ -7,20 +7,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntEnum, IntFlag
 
-from .. import enumerations as enumeration
-from ..events import EVENT_TABLE
-from ..fields import meaning_of
 from ..framing import slip_encode
-from ..functions import FUNCTION_TABLE
-from ..headers import (
+from ..pus import enumerations as enumeration
+from ..pus.events import EVENT_TABLE
+from ..pus.fields import meaning_of
+from ..pus.functions import FUNCTION_TABLE
+from ..pus.headers import (
     PRIMARY_HEADER,
     REQUEST_ID_LAYOUT,
     TELECOMMAND_SECONDARY_HEADER,
     TELEMETRY_SECONDARY_HEADER,
 )
-from ..housekeeping import HOUSEKEEPING_TABLE
-from ..messages import MessageDefinition, MessageRegistry, ServiceDefinition
-from ..packets import (
+from ..pus.housekeeping import HOUSEKEEPING_TABLE
+from ..pus.messages import MessageDefinition, MessageRegistry, ServiceDefinition
+from ..pus.packets import (
     MAX_TELECOMMAND_BYTES,
     MAX_TELEMETRY_BYTES,
     PRIMARY_HEADER_BYTES,
@@ -28,9 +28,9 @@ from ..packets import (
     TELEMETRY_SECONDARY_HEADER_BYTES,
     CucTime,
 )
-from ..parameters import PARAMETER_TABLE
-from ..registry import REGISTRY, encode_telecommand, encode_telemetry
-from ..services.large_data import IMAGE_HEADER_BYTES, IMAGE_HEADER_FIELDS
+from ..pus.parameters import PARAMETER_TABLE
+from ..pus.registry import REGISTRY, encode_telecommand, encode_telemetry
+from ..pus.services.large_data import IMAGE_HEADER_BYTES, IMAGE_HEADER_FIELDS
 from .icd_can import can_chapter
 from .markdown import FIELD_HEADINGS, IDENTIFIERS, field_row, fields_table, header_table, table
 from .wording import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..can_messages import (
+from ..can.cyclic import (
     BASE_STEP,
     CAN_MESSAGES,
     CAN_MESSAGES_BY_NAME,
@@ -18,7 +18,7 @@ from ..can_messages import (
     default_bases,
     is_broadcast,
 )
-from ..packets import MAX_TELECOMMAND_BYTES, MAX_TELEMETRY_BYTES
+from ..pus.packets import MAX_TELECOMMAND_BYTES, MAX_TELEMETRY_BYTES
 from .can_wording import BUS, BUS_MODEL, CYCLIC, FAILURES, NO_RECEIVER, TIME, TRANSPORT
 from .markdown import bit_place, table, value_range_of
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from enum import IntFlag
 
-from ..fields import Choices, Data, Element, Field, FieldGroup, Repeated, Switched
-from ..headers import HeaderLayout
+from ..pus.fields import Choices, Data, Element, Field, FieldGroup, Repeated, Switched
+from ..pus.headers import HeaderLayout
 
 IDENTIFIERS = {
     "HousekeepingId": ("structures", "housekeeping-structures"),

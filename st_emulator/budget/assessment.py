@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
+from ..bench.scenario import Scenario
 from ..campaigns.workers import Workers
-from ..scenario import Scenario
 from .figures import ROWS, Cost, Costing, Figure, p99
 from .least_clock import Laws, LeastClock, clock_as_flown, clock_for_frames
 from .memory import Memory, memory_of

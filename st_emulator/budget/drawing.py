@@ -11,9 +11,9 @@ from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
+from ..commands.pictures import INK, STYLE
 from ..errors import ConfigurationError
 from ..firmware_model.work import STAGES
-from ..pictures import INK, STYLE
 from .assessment import Assessment
 from .margins import Margin
 from .modes import LOST_IN_SPACE, TRACKING

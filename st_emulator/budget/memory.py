@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..configuration import firmware_configuration, star_tables
+from ..bench.star_tables import star_tables
+from ..device.calibration import firmware_configuration
 from ..firmware_model.catalogue.pairs import PairCatalogue
 from ..firmware_model.catalogue.tables import StarTables
 from ..firmware_model.configuration import FirmwareConfiguration
 from ..firmware_model.image.centroid import SPOT_FIELDS
 from ..firmware_model.image.clustering import CLUSTER_FIELDS, RUN_FIELDS
 from ..firmware_model.tracking import window_half_width_px
-from ..protocol.services.large_data import IMAGE_HEADER_BYTES
+from ..protocol.pus.services.large_data import IMAGE_HEADER_BYTES
 from .subject import Subject
 
 MIB = 1 << 20

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..scenario import Scenario
+from ..bench.scenario import Scenario
 from ..world import quaternion
 from .modes import LOST_IN_SPACE
 from .samples import Instant

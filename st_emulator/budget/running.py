@@ -11,14 +11,14 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from ..bench.scenario import Scenario, load_scenario
+from ..bench.scenario_inputs import check_inputs, parameters_of
 from ..campaigns.results_file import ResultsFile, identity_hash, program_fingerprint
 from ..campaigns.workers import Progress, Workers
+from ..commands.running import state_folder
 from ..errors import ConfigurationError
-from ..profile import load_unit
 from ..report import require_json_path, write_json
-from ..running import state_folder
-from ..scenario import Scenario, load_scenario
-from ..scenario_inputs import check_inputs, parameters_of
+from ..units.profile import load_unit
 from .assessment import Assessment, Order, assess
 from .figures import Costing
 from .modes import LOST_IN_SPACE

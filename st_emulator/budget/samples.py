@@ -12,10 +12,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bench.scenario import Scenario
 from ..firmware_model.reasons import Reason
 from ..firmware_model.work import COUNTS, Work
-from ..profile import UnitProfile
-from ..scenario import Scenario
+from ..units.profile import UnitProfile
 from .scenes import Conditions, FrameInputs, frames_under, scenario_frames
 from .subject import Parameters, Subject
 from .transmission import transmission_of

@@ -14,20 +14,22 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bench.scenario import Scenario
+from ..bench.star_tables import star_tables
+from ..bench.world_of import bodies_of, camera_model, scene_of, sky_of
 from ..campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_section
 from ..compiled_kernels import keep_compiled_kernels
-from ..configuration import bodies_of, camera_model, firmware_configuration, scene_of, sky_of, star_tables
+from ..device.calibration import firmware_configuration
+from ..device.parameters import default_parameters
 from ..firmware_model.configuration import FirmwareConfiguration, StarTables
 from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
 from ..firmware_model.frame_trace import StepRecord, Trace
 from ..firmware_model.modes import Mode
 from ..firmware_model.tracking import plan_windows
-from ..onboard.parameters import default_parameters
-from ..profile import UnitProfile
-from ..scenario import Scenario
+from ..tai import tai_ns_from_utc
+from ..units.profile import UnitProfile
 from ..world.false_spots import FalseSpots
 from ..world.scene import RenderedFrame, SceneRenderer
-from ..world.time_scales import tai_ns_from_utc
 from ..world.trajectory import ConstantRateTrajectory, InertialTrajectory
 
 __all__ = [

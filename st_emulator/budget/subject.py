@@ -8,12 +8,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 
-from ..configuration import cycle_budget, processor_in_force, processor_profile
+from ..device.calibration import cycle_budget, processor_in_force, processor_profile
+from ..device.parameters import default_parameters
 from ..errors import ConfigurationError
+from ..firmware_model.parameter_table import PARAMETERS_BY_NAME
 from ..firmware_model.processor import LINE_FILLS, CycleBudget, ProcessorProfile
-from ..onboard.parameters import BY_NAME, default_parameters
-from ..profile import UnitProfile
 from ..protocol.errors import LocalProtocolError
+from ..units.profile import UnitProfile
 
 Parameters = tuple[tuple[str, float | int], ...]
 
@@ -38,7 +39,7 @@ class Subject:
         changed = dict(self.changed)
         for name, value in values.items():
             try:
-                changed[name] = BY_NAME[name].as_carried(value)
+                changed[name] = PARAMETERS_BY_NAME[name].stored(value)
             except LocalProtocolError as error:
                 raise ConfigurationError(f"{name}: {error}") from error
         return Subject(self.profile, tuple(sorted(changed.items())))

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from ..scenario import Scenario
+from ..bench.scenario import Scenario
 from .figures import Costing, Figure
 from .margins import Margin
 from .modes import LOST_IN_SPACE, TRACKING, LostResult, TrackedResult, both

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..firmware_model.work import Work
-from ..protocol.can_bits import frame_duration_ns
-from ..protocol.can_frames import CanFrame
-from ..protocol.can_messages import CAN_MESSAGES_BY_NAME
+from ..protocol.can.bits import frame_duration_ns
+from ..protocol.can.cyclic import CAN_MESSAGES_BY_NAME
+from ..protocol.can.frames import CanFrame
 from ..protocol.framing import slip_encode
-from ..protocol.packets import CucTime
-from ..protocol.registry import REGISTRY, encode_telemetry
+from ..protocol.pus.packets import CucTime
+from ..protocol.pus.registry import REGISTRY, encode_telemetry
 from ..wire.serial_line import BITS_PER_BYTE
 from .subject import Subject
 

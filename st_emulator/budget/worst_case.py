@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ..bench.scenario import Scenario
 from ..campaigns.workers import Workers
-from ..profile import UnitProfile
-from ..scenario import Scenario
+from ..units.profile import UnitProfile
 from .figures import Cost, Costing, Figure
 from .modes import LOST_IN_SPACE, TRACKING
 from .mutation import Domain, domain_of, mutated

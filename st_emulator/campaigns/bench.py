@@ -11,23 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bench.scenario import Scenario, Sky
+from ..bench.star_tables import star_tables
+from ..bench.world_of import bodies_of, camera_model, sky_of
 from ..compiled_kernels import keep_compiled_kernels
-from ..configuration import (
-    bodies_of,
-    camera_model,
-    firmware_configuration,
-    sky_of,
-    star_tables,
-)
+from ..device.calibration import firmware_configuration
+from ..device.parameters import default_parameters
 from ..firmware_model.configuration import FirmwareConfiguration
 from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
 from ..firmware_model.modes import Mode
-from ..onboard.parameters import default_parameters
-from ..profile import UnitProfile
-from ..scenario import Scenario, Sky
+from ..tai import tai_ns_from_utc
+from ..units.profile import UnitProfile
 from ..world import quaternion
 from ..world.scene import RenderedFrame, SceneRenderer
-from ..world.time_scales import tai_ns_from_utc
 from ..world.trajectory import InertialTrajectory, Trajectory
 
 ARCSEC_PER_RAD = 180 / np.pi * 3600

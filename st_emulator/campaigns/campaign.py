@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..profile import UnitProfile
 from ..report import Check, TextTable
+from ..units.profile import UnitProfile
 from .workers import Workers
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bench.emulator import Emulator
+from ..bench.scenario import EarthFixedTrajectory, Scenario, ScenarioTelecommand
 from ..clock import NS_PER_S
-from ..emulator import Emulator
-from ..listening import TelemetryListener
+from ..obc.listening import TelemetryListener
 from ..report import check
-from ..scenario import EarthFixedTrajectory, Scenario, ScenarioTelecommand
+from ..tai import tai_ns_from_utc
 from ..world import quaternion
-from ..world.time_scales import tai_ns_from_utc
 from .bench import STARS_ONLY
 from .campaign import CampaignRequest, CampaignResult
 

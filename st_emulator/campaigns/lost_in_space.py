@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from ..profile import UnitProfile
 from ..report import check
+from ..units.profile import UnitProfile
 from ..world.trajectory import InertialTrajectory
 from .bench import Chain, error_arcsec, random_pointings
 from .campaign import CampaignRequest, CampaignResult

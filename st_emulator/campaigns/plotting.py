@@ -8,8 +8,8 @@ from typing import Any
 
 from matplotlib import pyplot as plt
 
+from ..commands.pictures import STYLE, require_picture_path
 from ..errors import ConfigurationError
-from ..pictures import STYLE, require_picture_path
 
 COLOURS = ("#40c4ff", "#ffb000", "#69d58c", "#ff7ab6")
 SOURCE_COLOUR = "#e8eaed"  # of what a paper printed

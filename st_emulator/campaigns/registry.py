@@ -10,12 +10,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
+from ..bench.scenario import Scenario
+from ..bench.scenario_inputs import check_inputs
+from ..commands.running import state_folder
 from ..errors import ConfigurationError
-from ..profile import load_unit
 from ..report import all_hold, require_json_path, show_checks, show_figures, show_table, write_json
-from ..running import state_folder
-from ..scenario import Scenario
-from ..scenario_inputs import check_inputs
+from ..units.profile import load_unit
 from .campaign import CampaignRequest, CampaignResult
 from .results_file import ResultsFile, identity_hash, program_fingerprint
 from .workers import Progress, Workers

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..firmware_model.image.detection import detect
-from ..profile import UnitProfile
 from ..report import check
+from ..units.profile import UnitProfile
 from ..world.trajectory import InertialTrajectory
 from .bench import Chain, random_pointings
 from .campaign import CampaignRequest, CampaignResult

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..firmware_model.image.detection import DetectionParameters, detect
-from ..profile import UnitProfile
 from ..report import TextTable, check
+from ..units.profile import UnitProfile
 from ..world.scene import RenderedFrame, TrueStar
 from ..world.slew import RateAxis, SlewTrajectory
 from .bench import Chain, random_pointings

@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
 from ..firmware_model.reasons import Reason
-from ..profile import UnitProfile
 from ..report import check
+from ..units.profile import UnitProfile
 from ..world import quaternion
 from ..world.slew import Hold, RateAxis, SlewTrajectory
 from .bench import Chain, error_arcsec, random_pointings

@@ -25,13 +25,7 @@ from ..world import quaternion
 from .campaign import CampaignRequest, CampaignResult
 from .confidence import Share, share, stratified_share
 from .star_identification import BAD, FAILURE, LABELS, SUCCESS, Attempt, attempts, pair_tolerance_rad
-from .star_scenes import (
-    MagnitudeNoise,
-    SceneSettings,
-    make_scene,
-    random_attitude,
-    scene_tables,
-)
+from .star_scenes import MagnitudeNoise, SceneSettings, make_scene, random_attitude, scene_tables
 from .table3_plot import draw_table3
 
 FIELD_DEG = 20.0

@@ -1,6 +1,6 @@
 """A CAN bus, by python-can: SocketCAN, an slcan adapter at a serial port, or a bus within this process.
 
-The bytes of such a link are whole records (st_emulator.protocol.can_frames), one a frame. A bus is heard by
+The bytes of such a link are whole records (st_emulator.protocol.can.frames), one a frame. A bus is heard by
 all: nobody sees who else is there, and what a receiver does not read in time is lost there, not here.
 """
 
@@ -12,8 +12,7 @@ from typing import Protocol
 from can import CanOperationError
 from can.interfaces.virtual import VirtualBus
 
-from st_emulator.protocol.errors import LocalProtocolError
-
+from ..protocol.errors import LocalProtocolError
 from .can_records import MOST_FRAMES_A_READ, frame_to_send, message_of, record_of, records
 from .can_slcan import OPENING_S, SlcanPort
 from .can_socket import SocketPort

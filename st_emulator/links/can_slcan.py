@@ -12,8 +12,7 @@ import threading
 import can
 from can.interfaces.slcan import slcanBus
 
-from st_emulator.protocol.errors import LocalProtocolError
-
+from ..protocol.errors import LocalProtocolError
 from .can_records import frame_to_send, message_of, one_line, record_of
 from .link import LinkError
 

@@ -9,8 +9,7 @@ import struct
 from can import CanError
 from can.interfaces.socketcan import SocketcanBus
 
-from st_emulator.protocol.can_frames import FD_FLAG, RECORD_HEADER_BYTES, REMOTE_FLAG
-
+from ..protocol.can.frames import FD_FLAG, RECORD_HEADER_BYTES, REMOTE_FLAG
 from .can_records import MOST_FRAMES_A_READ, RECORD_HEADER, frame_to_send, one_line
 from .link import LinkError
 from .network_interface import NetworkInterface, network_interface

@@ -9,11 +9,10 @@ with Obc.connect("pty:/tmp/unit") as obc:
     print(obc.next("attitude_report").fields)
 """
 
-from st_emulator.links import LinkError
-from st_emulator.protocol.enumerations import FailureCode, Mode, Reason
-from st_emulator.protocol.errors import LocalProtocolError
-from st_emulator.protocol.packets import CucTime, Telemetry
-
+from ..links import LinkError
+from ..protocol.errors import LocalProtocolError
+from ..protocol.pus.enumerations import FailureCode, Mode, Reason
+from ..protocol.pus.packets import CucTime, Telemetry
 from .attitude import Attitude
 from .bus import SyncSent
 from .can_transport import CanSettings, CanTransport

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from st_emulator.protocol.enumerations import Mode, Reason
+from ..protocol.pus.enumerations import Mode, Reason
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from st_emulator.links import LinkError
-from st_emulator.protocol.can_bits import frame_duration_ns
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_messages import CAN_MESSAGES_BY_NAME, CanIdentifiers, encode_can_message
-from st_emulator.protocol.errors import LocalProtocolError
-from st_emulator.protocol.packets import CucTime
-from st_emulator.tai import tai_ns_from_utc
-
+from ..links import LinkError
+from ..protocol.can.bits import frame_duration_ns
+from ..protocol.can.cyclic import CAN_MESSAGES_BY_NAME, CanIdentifiers, encode_can_message
+from ..protocol.can.frames import CanFrame
+from ..protocol.errors import LocalProtocolError
+from ..protocol.pus.packets import CucTime
+from ..tai import tai_ns_from_utc
 from .can_transport import CanTransport
 from .cyclic import CyclicAttitude, CyclicFrame, cuc_time
 from .errors import NoBusError, TelemetryTimeout

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime
 
-from st_emulator.naming import name_of
-from st_emulator.protocol.can_frames import CLASSIC_BYTES, CanFrame
-from st_emulator.protocol.can_messages import CAN_MESSAGES_BY_NAME, Signal
-from st_emulator.protocol.enumerations import Reason
-from st_emulator.protocol.errors import LocalProtocolError
-from st_emulator.tai import seconds, tai_ns_from_utc
-
+from ..naming import name_of
+from ..protocol.can.cyclic import CAN_MESSAGES_BY_NAME, Signal
+from ..protocol.can.frames import CLASSIC_BYTES, CanFrame
+from ..protocol.errors import LocalProtocolError
+from ..protocol.pus.enumerations import Reason
+from ..tai import seconds, tai_ns_from_utc
 from .bus import CYCLIC_NAMES
 from .cyclic import CyclicAttitude, CyclicFrame
 from .desk import Action, Arguments, Desk, octets

@@ -1,6 +1,6 @@
 """The OBC on a CAN bus without any bus: packets by ISO-TP, the unit's cyclic frames, and which unit it is.
 
-The link takes and brings records (`st_emulator.protocol.can_frames`). A frame counts as sent as soon as the
+The link takes and brings records (`st_emulator.protocol.can.frames`). A frame counts as sent as soon as the
 link has taken it: whether the bus acknowledged it is not told.
 """
 
@@ -11,22 +11,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from st_emulator.protocol.can_bits import frame_duration_ns
-from st_emulator.protocol.can_frames import (
-    CAN_FD_LENGTHS,
-    CLASSIC_BYTES,
-    CanFrame,
-    RecordDecoder,
-    encode_record,
-)
-from st_emulator.protocol.can_messages import (
-    CAN_MESSAGES_BY_NAME,
-    NODES,
-    TELEMETRY,
-    CanIdentifiers,
-    decode_can_message,
-)
-from st_emulator.protocol.can_transport import (
+from ..protocol.can.bits import frame_duration_ns
+from ..protocol.can.cyclic import CAN_MESSAGES_BY_NAME, NODES, TELEMETRY, CanIdentifiers, decode_can_message
+from ..protocol.can.frames import CAN_FD_LENGTHS, CLASSIC_BYTES, CanFrame, RecordDecoder, encode_record
+from ..protocol.can.transport import (
     FrameIgnored,
     IsoTpConnection,
     IsoTpEvent,
@@ -35,8 +23,7 @@ from st_emulator.protocol.can_transport import (
     ReceptionFailed,
     TransmissionFailed,
 )
-from st_emulator.protocol.packets import MAX_TELEMETRY_BYTES
-
+from ..protocol.pus.packets import MAX_TELEMETRY_BYTES
 from .counters import CanCounters
 from .errors import UnitNotChosenError
 from .transport import (

@@ -9,11 +9,10 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from st_emulator.errors import ConfigurationError
-from st_emulator.links import LinkError
-from st_emulator.protocol.can_messages import NODES
-from st_emulator.report import write_json
-
+from ..errors import ConfigurationError
+from ..links import LinkError
+from ..protocol.can.cyclic import NODES
+from ..report import write_json
 from .client import Obc
 from .desk import CommandError
 from .errors import RecordingError
@@ -125,7 +124,7 @@ def _lines(script: Path | None, command: list[str] | None, watching: bool) -> li
 
 
 def _unit_options(unit: str) -> dict[str, Any]:
-    from st_emulator.profile import load_unit
+    from ..units.profile import load_unit
 
     profile = load_unit(unit)
     wire = profile.wire

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from st_emulator.naming import member, name_of, parameter_name
-from st_emulator.protocol.enumerations import (
+from ..naming import member, name_of, parameter_name
+from ..protocol.pus.enumerations import (
     EventId,
     FunctionId,
     HousekeepingId,
@@ -19,11 +19,10 @@ from st_emulator.protocol.enumerations import (
     ParameterId,
     ResetKind,
 )
-from st_emulator.protocol.packets import CucTime, Telemetry, crc16_ccitt
-from st_emulator.protocol.parameters import PARAMETER_TABLE
-from st_emulator.protocol.services.memory import MAX_DUMP_BYTES, MAX_LOAD_BYTES
-from st_emulator.tai import tai_ns_from_utc
-
+from ..protocol.pus.packets import CucTime, Telemetry, crc16_ccitt
+from ..protocol.pus.parameters import PARAMETER_TABLE
+from ..protocol.pus.services.memory import MAX_DUMP_BYTES, MAX_LOAD_BYTES
+from ..tai import tai_ns_from_utc
 from .bus import BusExchange
 from .errors import DownloadError, TelecommandTimeout, TelemetryTimeout, VerificationError
 from .exchange import DEFAULT_TIMEOUT_S

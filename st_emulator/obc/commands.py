@@ -13,8 +13,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from st_emulator.naming import field_text, member, name_of, parameter_name
-from st_emulator.protocol.enumerations import (
+from ..naming import field_text, member, name_of, parameter_name
+from ..protocol.pus.enumerations import (
     EventId,
     FailureCode,
     FunctionId,
@@ -24,12 +24,11 @@ from st_emulator.protocol.enumerations import (
     ParameterId,
     ResetKind,
 )
-from st_emulator.protocol.fields import Field
-from st_emulator.protocol.housekeeping import HOUSEKEEPING
-from st_emulator.protocol.parameters import PARAMETERS
-from st_emulator.protocol.registry import REGISTRY
-from st_emulator.tai import tai_ns_from_utc
-
+from ..protocol.pus.fields import Field
+from ..protocol.pus.housekeeping import HOUSEKEEPING
+from ..protocol.pus.parameters import PARAMETERS
+from ..protocol.pus.registry import REGISTRY
+from ..tai import tai_ns_from_utc
 from .bus_commands import BUS_WORDS
 from .desk import Action, Arguments, CommandError, Desk, NotHeldError, number, octets, whole
 from .errors import VerificationError

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from st_emulator.errors import ConfigurationError
-from st_emulator.links import Link, LinkSpecification, open_link, parse_link
-from st_emulator.protocol.can_messages import NODES, CanIdentifiers
-from st_emulator.protocol.errors import LocalProtocolError
-
+from ..errors import ConfigurationError
+from ..links import Link, LinkSpecification, open_link, parse_link
+from ..protocol.can.cyclic import NODES, CanIdentifiers
+from ..protocol.errors import LocalProtocolError
 from .can_transport import CanSettings, CanTransport
 from .transport import SlipTransport, Transport
 
 if TYPE_CHECKING:
-    from st_emulator.profile import UnitProfile
+    from ..units.profile import UnitProfile
 
 DEFAULT_BAUD = 115_200
 _NS_PER_MS = 1_000_000
@@ -60,7 +59,7 @@ def connect_to(
 
 
 def _profile(unit: str) -> UnitProfile:
-    from st_emulator.profile import load_unit  # pydantic costs a start that names no unit nothing
+    from ..units.profile import load_unit  # pydantic costs a start that names no unit nothing
 
     return load_unit(unit)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-from st_emulator.protocol.enumerations import TransferFailure
+from ..protocol.pus.enumerations import TransferFailure
 
 
 @dataclass

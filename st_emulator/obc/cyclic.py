@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from st_emulator.protocol.enumerations import Reason
-from st_emulator.protocol.packets import CucTime
-
+from ..protocol.pus.enumerations import Reason
+from ..protocol.pus.packets import CucTime
 from .attitude import pointing_deg
 from .transport import CyclicReceived
 

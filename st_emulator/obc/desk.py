@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from st_emulator.report import Check
-
+from ..report import Check
 from .client import Obc
 from .watching import watch
 

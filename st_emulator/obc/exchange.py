@@ -10,11 +10,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from st_emulator.links import Link
-from st_emulator.naming import member, name_of
-from st_emulator.protocol.enumerations import EventId
-from st_emulator.protocol.packets import Telemetry
-
+from ..links import Link
+from ..naming import member, name_of
+from ..protocol.pus.enumerations import EventId
+from ..protocol.pus.packets import Telemetry
 from .attitude import Attitude
 from .connecting import connect_to
 from .counters import Counters

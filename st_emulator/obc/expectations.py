@@ -7,15 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from st_emulator.naming import field_text, member
-from st_emulator.protocol.enumerations import HousekeepingId, Mode
-from st_emulator.protocol.fields import Element, Field
-from st_emulator.protocol.housekeeping import HOUSEKEEPING_TABLE
-from st_emulator.protocol.parameters import PARAMETER_TABLE
-from st_emulator.protocol.registry import REGISTRY
-from st_emulator.report import Check
-from st_emulator.tai import seconds
-
+from ..naming import field_text, member
+from ..protocol.pus.enumerations import HousekeepingId, Mode
+from ..protocol.pus.fields import Element, Field
+from ..protocol.pus.housekeeping import HOUSEKEEPING_TABLE
+from ..protocol.pus.parameters import PARAMETER_TABLE
+from ..protocol.pus.registry import REGISTRY
+from ..report import Check
+from ..tai import seconds
 from .attitude import Attitude
 from .client import Obc
 from .counters import CanCounters

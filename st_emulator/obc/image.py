@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from st_emulator.protocol.errors import RemoteProtocolError
-from st_emulator.protocol.packets import CucTime, Telemetry, crc16_ccitt
-from st_emulator.protocol.services.large_data import IMAGE_HEADER_BYTES, decode_image_header
-
+from ..protocol.errors import RemoteProtocolError
+from ..protocol.pus.packets import CucTime, Telemetry, crc16_ccitt
+from ..protocol.pus.services.large_data import IMAGE_HEADER_BYTES, decode_image_header
 from .errors import DownloadError
 
 PART_NAMES = ("image_first_part", "image_part", "image_last_part")

@@ -10,11 +10,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from st_emulator.naming import resolve_fields, telecommand_label
-from st_emulator.protocol.can_transport import FrameIgnored, ReceptionFailed
-from st_emulator.protocol.enumerations import FramingReason, FunctionId, MalformedReason
-from st_emulator.protocol.framing import FrameDiscarded
-from st_emulator.protocol.packets import (
+from ..naming import resolve_fields, telecommand_label
+from ..protocol.can.transport import FrameIgnored, ReceptionFailed
+from ..protocol.framing import FrameDiscarded
+from ..protocol.pus.enumerations import FramingReason, FunctionId, MalformedReason
+from ..protocol.pus.packets import (
     ACK_ACCEPTANCE,
     ACK_COMPLETION,
     ACK_PROGRESS,
@@ -24,8 +24,7 @@ from st_emulator.protocol.packets import (
     RequestId,
     Telemetry,
 )
-from st_emulator.protocol.registry import encode_telecommand, parse_telemetry
-
+from ..protocol.pus.registry import encode_telecommand, parse_telemetry
 from .counters import CanCounters, Counters
 from .transport import (
     MAX_FRAME_BYTES,

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from st_emulator.naming import event_text, name_of
-from st_emulator.protocol.enumerations import EventId, EventSeverity, HousekeepingId, Mode
-from st_emulator.protocol.packets import CucTime, Telemetry
-
+from ..naming import event_text, name_of
+from ..protocol.pus.enumerations import EventId, EventSeverity, HousekeepingId, Mode
+from ..protocol.pus.packets import CucTime, Telemetry
 from .attitude import Attitude
 
 KEPT_EVENTS = 10_000

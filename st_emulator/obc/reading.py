@@ -11,7 +11,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
-from st_emulator.links import Link, LinkError
+from ..links import Link, LinkError
 
 POLL_INTERVAL_S = 0.001
 STEPPED_EPOCH = datetime(2026, 1, 1, tzinfo=UTC)

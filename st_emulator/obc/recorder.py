@@ -21,13 +21,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
 
-from st_emulator.naming import name_of, plain
-from st_emulator.protocol.can_frames import candump_line
-from st_emulator.protocol.can_transport import FrameIgnored, ReceptionFailed
-from st_emulator.protocol.enumerations import EventId, HousekeepingId
-from st_emulator.protocol.packets import Malformed, Telemetry
-from st_emulator.protocol.registry import parse_telemetry
-
+from ..naming import name_of, plain
+from ..protocol.can.frames import candump_line
+from ..protocol.can.transport import FrameIgnored, ReceptionFailed
+from ..protocol.pus.enumerations import EventId, HousekeepingId
+from ..protocol.pus.packets import Malformed, Telemetry
+from ..protocol.pus.registry import parse_telemetry
 from .errors import RecordingError
 from .image import PART_NAMES
 from .obc_protocol import FrameLost, MalformedReceived, ObcEvent, SequenceGapDetected, VerificationUpdated

@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from st_emulator.links import LinkError
-from st_emulator.protocol.errors import ProtocolError
-from st_emulator.report import Check
-
+from ..links import LinkError
+from ..protocol.errors import ProtocolError
+from ..report import Check
 from .client import Obc
 from .commands import parse_line, words_of
 from .desk import Action, CommandError, Desk, NotHeldError

@@ -8,10 +8,9 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import TextIO
 
-from st_emulator.links import LinkError
-from st_emulator.protocol.enumerations import EventId, HousekeepingId, MemoryId, Mode, ParameterId
-from st_emulator.protocol.registry import REGISTRY
-
+from ..links import LinkError
+from ..protocol.pus.enumerations import EventId, HousekeepingId, MemoryId, Mode, ParameterId
+from ..protocol.pus.registry import REGISTRY
 from .bus import CYCLIC_NAMES
 from .commands import COMMANDS, parse_line
 from .desk import CommandError

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Protocol
 
-from st_emulator.protocol.can_frames import CanFrame
-from st_emulator.protocol.can_transport import FrameIgnored, ReceptionFailed
-from st_emulator.protocol.enumerations import TransferFailure
-from st_emulator.protocol.framing import END, FrameDiscarded, SlipDecoder, slip_encode
-from st_emulator.protocol.packets import MAX_TELEMETRY_BYTES
-
+from ..protocol.can.frames import CanFrame
+from ..protocol.can.transport import FrameIgnored, ReceptionFailed
+from ..protocol.framing import END, FrameDiscarded, SlipDecoder, slip_encode
+from ..protocol.pus.enumerations import TransferFailure
+from ..protocol.pus.packets import MAX_TELEMETRY_BYTES
 from .counters import Counters
 
 # The largest packet, and as much again for what a damaged END may join to it; more is noise.
@@ -62,7 +61,7 @@ class CanFrameLost:
 
 @dataclass(frozen=True)
 class CyclicReceived:
-    """A cyclic frame of the unit, decoded (see `st_emulator.protocol.can_messages`)."""
+    """A cyclic frame of the unit, decoded (see `st_emulator.protocol.can.cyclic`)."""
 
     name: str
     values: dict[str, Any]

@@ -6,10 +6,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from st_emulator.naming import name_of
-from st_emulator.protocol.enumerations import Mode, Reason, TimeStatus
-from st_emulator.tai import seconds, utc_from_cuc
-
+from ..naming import name_of
+from ..protocol.pus.enumerations import Mode, Reason, TimeStatus
+from ..tai import seconds, utc_from_cuc
 from .attitude import Attitude
 from .client import Obc
 from .counters import CanCounters

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from ..protocol.enumerations import CanState, MalformedReason, TransferFailure
+from ..protocol.can.vocabulary import CanState, TransferFailure
+from ..protocol.pus.enumerations import MalformedReason
 
 
 class PortClient(Protocol):
@@ -74,6 +75,9 @@ class UnitPort(Protocol):
 
     def restart(self) -> None:
         """As after power-on: what waits and what was half received is forgotten."""
+
+    def where(self) -> str:
+        """Rate and address, for people."""
 
     def arrive(self, data: bytes) -> None:
         """The link brought ``data`` at the present time."""

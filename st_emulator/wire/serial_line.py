@@ -24,8 +24,8 @@ class SerialLine:
         transmit: called with each group of bytes when its last bit has left.
         receive: called with received bytes when their last bit has arrived; the group ends at each
             ``delimiter``, so that a packet is handled when its own last byte is in, whatever follows it.
+        delimiter: the byte that ends a frame; None: there is none, and each byte is a group of its own.
         pace_reception: False for a real port, whose bytes have already taken their time.
-        delimiter: the byte that ends a frame (SLIP's END).
     """
 
     def __init__(
@@ -35,15 +35,15 @@ class SerialLine:
         transmit: Callable[[bytes], object],
         receive: Callable[[bytes], None],
         *,
+        delimiter: int | None,
         pace_reception: bool = True,
-        delimiter: int = 0xC0,
     ) -> None:
         self._clock = clock
         self.baud = baud
         self._transmit = transmit
         self._receive = receive
         self._pace_reception = pace_reception
-        self._delimiter = bytes([delimiter])
+        self._delimiter = None if delimiter is None else bytes([delimiter])
         self._group = max(FIFO_BYTES, baud // BITS_PER_BYTE // 1000)
         self._tx = bytearray()
         self._tx_busy = False
@@ -103,7 +103,7 @@ class SerialLine:
             self._rx_started_ns, self._rx_since = self._clock.now_ns, 0
         offset = 0
         while offset < len(data):
-            end = data.find(self._delimiter, offset)
+            end = offset if self._delimiter is None else data.find(self._delimiter, offset)
             end = len(data) if end < 0 else end + 1
             piece = data[offset:end]
             due_ns = self._rx_started_ns + self.duration_ns(self._rx_since + end)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ..clock import VirtualClock
-from ..protocol.framing import FrameReceived, SlipDecoder, slip_encode
-from ..protocol.packets import MAX_TELECOMMAND_BYTES
+from ..protocol.framing import END, FrameReceived, SlipDecoder, slip_encode
+from ..protocol.pus.packets import MAX_TELECOMMAND_BYTES
 from .port import PortClient
 from .serial_line import SerialLine
 
@@ -37,7 +37,9 @@ class SlipPort:
     ) -> None:
         self._clock = clock
         self._client = client
-        self.line = SerialLine(clock, baud, transmit, self._received, pace_reception=pace_reception)
+        self.line = SerialLine(
+            clock, baud, transmit, self._received, delimiter=END, pace_reception=pace_reception
+        )
         self._decoder = SlipDecoder(MAX_TELECOMMAND_BYTES)
 
     @property
@@ -57,6 +59,9 @@ class SlipPort:
     def restart(self) -> None:
         self.line.flush()
         self._decoder.reset()
+
+    def where(self) -> str:
+        return f"{self.line.baud} baud"
 
     def arrive(self, data: bytes) -> None:
         self.line.arrive(data)

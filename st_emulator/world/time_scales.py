@@ -7,7 +7,6 @@ nanoseconds since 1958-01-01T00:00:00 TAI, the epoch of the CCSDS unsegmented ti
 
 from __future__ import annotations
 
-import datetime
 import warnings
 
 import erfa
@@ -50,22 +49,6 @@ def ut1_jd(tai_ns: int) -> tuple[float, float]:
 def julian_year(tai_ns: int) -> float:
     """Julian epoch (TT), e.g. 2026.0."""
     return float(erfa.epj(*tt_jd(tai_ns)))
-
-
-def tai_ns_from_utc(utc: str | datetime.datetime) -> int:
-    """TAI nanoseconds since 1958 of an ISO 8601 date ("2026-03-20T12:00:00Z"); without a zone it is UTC.
-
-    Raises ValueError when the text is no date.
-    """
-    date = datetime.datetime.fromisoformat(utc) if isinstance(utc, str) else utc
-    if date.tzinfo is not None:
-        date = date.astimezone(datetime.UTC)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)
-        leap_s = float(erfa.dat(date.year, date.month, date.day, 0.0))
-    since = date.replace(tzinfo=None) - datetime.datetime(1958, 1, 1)
-    utc_ns = (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
-    return utc_ns + round(leap_s * 1e9)
 
 
 def earth_position_velocity(

@@ -18,7 +18,7 @@ from typing import Any
 
 from spread import of_delays
 
-from st_emulator.realtime import ahead_of_others
+from st_emulator.drivers.realtime import ahead_of_others
 
 DELAY_NS = 4_000_000
 PAUSE_S = (0.02, 0.1)

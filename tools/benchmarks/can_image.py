@@ -7,9 +7,9 @@ from typing import Any
 from ideal_obc import IdealObc
 from running_unit import SCENARIO
 
-from st_emulator.profile import load_unit
-from st_emulator.protocol.enumerations import FunctionId
-from st_emulator.scenario import parse_scenario
+from st_emulator.bench.scenario import parse_scenario
+from st_emulator.protocol.pus.enumerations import FunctionId
+from st_emulator.units.profile import load_unit
 
 NS_PER_S = 1_000_000_000
 WARM_UP_S = 5

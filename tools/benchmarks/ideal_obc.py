@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from st_emulator.emulator import Emulator
-from st_emulator.profile import UnitProfile
-from st_emulator.protocol.can_bits import frame_duration_ns
-from st_emulator.protocol.can_frames import CanFrame, RecordDecoder, encode_record
-from st_emulator.protocol.can_transport import IsoTpConnection, IsoTpSettings, PduReceived
-from st_emulator.protocol.packets import MAX_TELEMETRY_BYTES, Telemetry
-from st_emulator.protocol.registry import encode_telecommand, parse_telemetry
-from st_emulator.scenario import Scenario
-from st_emulator.wire.can_wiring import CanWiring
+from st_emulator.bench.emulator import Emulator
+from st_emulator.bench.scenario import Scenario
+from st_emulator.protocol.can.bits import frame_duration_ns
+from st_emulator.protocol.can.frames import CanFrame, RecordDecoder, encode_record
+from st_emulator.protocol.can.transport import IsoTpConnection, IsoTpSettings, PduReceived
+from st_emulator.protocol.pus.packets import MAX_TELEMETRY_BYTES, Telemetry
+from st_emulator.protocol.pus.registry import encode_telecommand, parse_telemetry
+from st_emulator.units.profile import UnitProfile
+from st_emulator.wire.can.wiring import CanWiring
 
 CONSECUTIVE_FRAME = 2  # high nibble of its first byte
 

@@ -14,13 +14,13 @@ import numpy as np
 from running_unit import NS_PER_S, Arrival, RunningUnit
 from spread import of_delays
 
-from st_emulator.journal import Journal, read_journal
-from st_emulator.listening import TelemetryListener
-from st_emulator.profile import UnitProfile, load_unit
-from st_emulator.protocol.enumerations import Mode
+from st_emulator.bench.journal import Journal, read_journal
+from st_emulator.drivers.realtime import ahead_of_others
+from st_emulator.obc.listening import TelemetryListener
 from st_emulator.protocol.framing import slip_encode
-from st_emulator.protocol.registry import encode_telecommand
-from st_emulator.realtime import ahead_of_others
+from st_emulator.protocol.pus.enumerations import Mode
+from st_emulator.protocol.pus.registry import encode_telecommand
+from st_emulator.units.profile import UnitProfile, load_unit
 from st_emulator.wire.serial_line import BITS_PER_BYTE
 
 TRACKING_TIMEOUT_S = 60.0

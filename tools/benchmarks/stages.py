@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 from unittest.mock import patch
 
+from st_emulator.device import imaging, parameters
+from st_emulator.device.star_tracker import StarTracker
 from st_emulator.firmware_model import firmware
-from st_emulator.onboard import imaging, parameters
-from st_emulator.unit import StarTracker
 from st_emulator.world.scene import RenderedFrame
 
 STAGES: tuple[tuple[str, object, str], ...] = (

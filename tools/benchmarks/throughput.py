@@ -55,15 +55,15 @@ def one_round(
     search: ``lost_in_space`` starts a new search after each frame; ``tracking`` at rest;
     ``tracking_turning`` at half of the unit's largest rate, with the smear that goes with it.
     """
-    from st_emulator.emulator import Emulator
-    from st_emulator.onboard.imaging import FrameRecord
-    from st_emulator.profile import load_unit
-    from st_emulator.scenario import (
+    from st_emulator.bench.emulator import Emulator
+    from st_emulator.bench.scenario import (
         ConstantRateTrajectory,
         InertialTrajectory,
         Scenario,
         ScenarioTelecommand,
     )
+    from st_emulator.device.imaging import FrameRecord
+    from st_emulator.units.profile import load_unit
 
     profile = load_unit(unit)
     ra_deg, dec_deg = pointing_deg
@@ -127,8 +127,8 @@ def main() -> None:
     options = parser.parse_args()
     os.environ.update(ONE_THREAD)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    from st_emulator.profile import load_unit
-    from st_emulator.warm_up import warm_up
+    from st_emulator.commands.warm_up import warm_up
+    from st_emulator.units.profile import load_unit
 
     warm_up(load_unit(options.unit))
     for result in rounds(options.unit, options.search, options.rounds, options.frames, options.stages):

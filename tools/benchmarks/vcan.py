@@ -15,9 +15,9 @@ import vcan_session
 from ideal_obc import IdealObc
 from spread import of_delays
 
-from st_emulator.journal import Journal, read_journal
-from st_emulator.profile import load_unit
-from st_emulator.scenario import parse_scenario
+from st_emulator.bench.journal import Journal, read_journal
+from st_emulator.bench.scenario import parse_scenario
+from st_emulator.units.profile import load_unit
 
 NS_PER_S = 1_000_000_000
 SETTLE_S = 30.0  # start of the machine and the unit, the image at the end

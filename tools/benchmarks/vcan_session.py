@@ -15,8 +15,8 @@ from pathlib import Path
 
 from running_unit import SCENARIO
 
+from st_emulator.drivers.realtime import ahead_of_others, quick_switching
 from st_emulator.obc import Obc
-from st_emulator.realtime import ahead_of_others, quick_switching
 
 LINK = "can:socketcan/vcan0"
 PAUSE_S = (0.02, 0.1)  # between a completion and the next ping, random: all phases of the frame are met

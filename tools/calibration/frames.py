@@ -17,9 +17,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from st_emulator.bench.star_tables import star_tables
+from st_emulator.bench.world_of import camera_model, sky_of
 from st_emulator.campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_section
 from st_emulator.compiled_kernels import keep_compiled_kernels
-from st_emulator.configuration import camera_model, firmware_configuration, sky_of, star_tables
+from st_emulator.device.calibration import firmware_configuration
+from st_emulator.device.parameters import default_parameters
 from st_emulator.firmware_model.configuration import FirmwareConfiguration, StarTables
 from st_emulator.firmware_model.firmware import FirmwareState, FrameContext, process_frame
 from st_emulator.firmware_model.frame_trace import StepRecord
@@ -27,8 +30,7 @@ from st_emulator.firmware_model.identification.algorithms import ALGORITHMS
 from st_emulator.firmware_model.modes import Mode
 from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import COUNTS
-from st_emulator.onboard.parameters import default_parameters
-from st_emulator.profile import UnitProfile, load_unit
+from st_emulator.units.profile import UnitProfile, load_unit
 from st_emulator.world import quaternion
 from st_emulator.world.false_spots import FalseSpots
 from st_emulator.world.scene import SceneRenderer

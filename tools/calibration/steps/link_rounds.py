@@ -34,9 +34,9 @@ from st_emulator.protocol import (
     parse_telecommand,
     slip_encode,
 )
-from st_emulator.protocol.enumerations import MalformedReason
-from st_emulator.protocol.packets import MAX_TELECOMMAND_BYTES
-from st_emulator.protocol.services.large_data import encode_image_header
+from st_emulator.protocol.pus.enumerations import MalformedReason
+from st_emulator.protocol.pus.packets import MAX_TELECOMMAND_BYTES, error_controlled_bytes
+from st_emulator.protocol.pus.services.large_data import encode_image_header
 
 __all__ = [
     "APID",
@@ -149,7 +149,7 @@ def record_of(task: LinkRound) -> StepRecord:
     received, sent = line_work(len(task.line)), Work()
     for frame in SlipDecoder(MAX_TELECOMMAND_BYTES).receive(task.line, 0):
         if isinstance(frame, FrameReceived):
-            received += telecommand_work(frame.data)
+            received += telecommand_work(error_controlled_bytes(frame.data))
     packets = [packet.as_bytes() for packet in task.packets]
     for packet, raw in zip(task.packets, packets, strict=True):
         sent += packet_work(len(raw), packet.copied_bytes)

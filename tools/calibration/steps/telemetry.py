@@ -11,8 +11,8 @@ import numpy as np
 
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.protocol import CucTime, RequestId
-from st_emulator.protocol.packets import MAX_TELECOMMAND_BYTES, MAX_TELEMETRY_BYTES
-from st_emulator.protocol.registry import REGISTRY
+from st_emulator.protocol.pus.packets import MAX_TELECOMMAND_BYTES, MAX_TELEMETRY_BYTES
+from st_emulator.protocol.pus.registry import REGISTRY
 from tools.arm_timing.machine import ArmMachine, Cost
 from tools.calibration.steps.link_rounds import (
     VERIFICATIONS,

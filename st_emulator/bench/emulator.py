@@ -1,0 +1,256 @@
+"""The emulator: a device behind its dialect and wire, in its world, on one virtual clock. Sans-IO: bytes and
+times in, bytes out.
+
+Whoever drives it (the real-time pacer, a run as fast as possible, a test, an outside simulator) calls
+:meth:`Emulator.advance` with a virtual time and :meth:`Emulator.receive` with bytes; transmitted bytes come
+by callback at the virtual time at which their last bit has left the unit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ..clock import VirtualClock
+from ..device.imaging import FrameRecord, FrameSource, Lazy, Submit
+from ..device.star_tracker import StarTracker
+from ..device.store import Store, StoreContents, VolatileStore
+from ..dialects.dialect import CanWire, Dialect, SerialWire
+from ..dialects.registry import dialect_of, settings_of
+from ..errors import ConfigurationError
+from ..tai import tai_ns_from_utc
+from ..units.profile import UnitProfile
+from ..wire.can.bus import Disturbance
+from ..wire.can.wiring import CanWiring
+from ..world.recorded import RecordedFrames
+from ..world.scene import RenderedFrame, SceneRenderer
+from .journal import JournalWriter, TextSink
+from .scenario import Scenario
+from .scenario_inputs import parameters_of, telecommands_of
+from .star_tables import star_tables
+from .world_of import scene_of
+
+
+class RecordedSource:
+    """Recorded frames in front of the detector, each for ``hold`` exposures, over and over."""
+
+    def __init__(self, frames: RecordedFrames, hold: int) -> None:
+        self._frames = frames
+        self._hold = hold
+        self._exposures = 0
+
+    def frame(self, frame_index: int, exposure_start_ns: int, exposure_ns: int) -> Any:
+        frame = self._frames[self._exposures // self._hold % len(self._frames)]
+        self._exposures += 1
+        return frame
+
+
+class Emulator:
+    """One unit in its world.
+
+    Args:
+        profile: the unit.
+        scenario: trajectory, sky, telecommands.
+        seed: noise and random events; the scenario's when None.
+        frames: recorded frames instead of the rendered sky.
+        hold: so many exposures show the same recorded frame before the next takes its place.
+        store: the unit's non-volatile memory; factory values when None.
+        transmit: called with (bytes, virtual time) as they leave the unit: octets of the serial line, or the
+            record of a CAN frame; returns how many the link took (None: all).
+        journal, truth: open text files, or None.
+        submit: how frames are computed (see :mod:`st_emulator.device.imaging`).
+        on_completed: called with each processed frame, its pixels and intermediates (pictures are made of
+        it).
+        baud: line rate; the unit's own when None.
+        pace_reception: False when the link's bytes already took their time on a wire.
+        can: the unit is on a CAN bus, wired like this; None: on its serial line.
+        disturbance: the seam where faults of the CAN bus enter.
+    """
+
+    def __init__(
+        self,
+        profile: UnitProfile,
+        scenario: Scenario | None = None,
+        *,
+        seed: int | None = None,
+        frames: RecordedFrames | None = None,
+        hold: int = 1,
+        store: Store | None = None,
+        transmit: Callable[[bytes, int], int | None] = lambda data, t_ns: None,
+        journal: TextSink | None = None,
+        truth: TextSink | None = None,
+        submit: Submit = Lazy,
+        pace_reception: bool = True,
+        baud: int | None = None,
+        can: CanWiring | None = None,
+        disturbance: Disturbance | None = None,
+        on_completed: Callable[[FrameRecord], None] = lambda record: None,
+    ) -> None:
+        self.profile = profile
+        self.scenario = scenario or Scenario()
+        self.seed = self.scenario.seed if seed is None else seed
+        self.baud = baud or profile.wire.baud
+        self.can = can
+        self._pace_reception = pace_reception
+        self._disturbance = disturbance
+        self.clock = VirtualClock()
+        self._external_transmit = transmit
+        self._hold = hold
+        self._store = store if store is not None else VolatileStore()
+        self._apply_scenario_parameters()
+        self.start_tai_ns = tai_ns_from_utc(self.scenario.start_utc)
+        self.scene: SceneRenderer | None = None
+        source: FrameSource
+        if frames is not None:
+            source = RecordedSource(frames, hold)
+        else:
+            source = self.scene = scene_of(profile, self.scenario, self.seed, self.start_tai_ns)
+        self.device = StarTracker(
+            profile,
+            self.clock,
+            source,
+            star_tables(profile),
+            self._store,
+            submit=submit,
+            on_frame=self._frame_exposed,
+            on_completed=on_completed,
+        )
+        self._truth = truth
+        self._journal: JournalWriter | None = None
+        if journal is not None:
+            self._journal = JournalWriter(journal, self._header(frames))
+        self._telecommands = deque(telecommands_of(profile, self.scenario))
+        self._sender = dialect_of(profile).sender(profile, settings_of(profile), can)
+        self.dialect = self._dialect()
+        self.device.speak_through(self.dialect)
+        self.device.power_on()
+
+    # -- driving it
+    # ------------------------------------------------------------------------------------------------
+
+    @property
+    def now_ns(self) -> int:
+        return self.clock.now_ns
+
+    def next_event_ns(self) -> int | None:
+        """Virtual time of the next event."""
+        due_ns = [self.clock.next_ns(), self._sender.next_ns()]
+        if self._telecommands:
+            due_ns.append(self._telecommands[0].at_ns)
+        return min((max(t_ns, self.now_ns) for t_ns in due_ns if t_ns is not None), default=None)
+
+    def advance(self, until_ns: int) -> None:
+        """Let virtual time go on to ``until_ns``."""
+        # The scenario's telecommands come in as an OBC's do, behind whatever else is due at their time: so a
+        # replay of the journal, which holds them like any others, is the same run.
+        while self._scenario_speaks():
+            due_ns = self.next_event_ns()
+            if due_ns is None or due_ns > until_ns:
+                break
+            self.clock.advance(due_ns)
+            while self._telecommands and self._telecommands[0].at_ns <= due_ns:
+                self._telecommands.popleft().send(self._sender)
+            for data in self._sender.poll(due_ns):
+                self.receive(data)
+        self.clock.advance(until_ns)
+
+    def _scenario_speaks(self) -> bool:
+        return bool(self._telecommands) or self._sender.next_ns() is not None
+
+    def receive(self, data: bytes) -> None:
+        """The OBC put ``data`` on the line at the present virtual time."""
+        if data:
+            if self._journal is not None:
+                self._journal.write(self.clock.now_ns, "rx", data)
+            self.dialect.arrive(data)
+
+    def flush(self) -> None:
+        """Write out what the journal and the truth file hold back."""
+        if self._journal is not None:
+            self._journal.flush()
+        if self._truth is not None:
+            self._truth.flush()
+
+    def close(self) -> None:
+        """Mark the end in the journal."""
+        if self._journal is not None:
+            self._journal.end(self.clock.now_ns)
+        self.flush()
+
+    # -- inside
+    # ----------------------------------------------------------------------------------------------------
+
+    def _dialect(self) -> Dialect:
+        """The dialect on its wire.
+
+        Raises:
+            ConfigurationError: the language has no such wire.
+        """
+        definition, settings = dialect_of(self.profile), settings_of(self.profile)
+        if self.can is not None:
+            if definition.on_can is None:
+                raise ConfigurationError(
+                    f"dialect {definition.name}: has no CAN bus; allowed is a serial line"
+                )
+            wire = CanWire(self.clock, self.can, self._transmitted, self._disturbance)
+            made: Dialect = definition.on_can(self.device, wire, settings)
+            return made
+        if definition.on_serial is None:
+            raise ConfigurationError(f"dialect {definition.name}: knows no serial line; give a CAN bus")
+        line = SerialWire(self.clock, self.baud, self._transmitted, self._pace_reception)
+        made = definition.on_serial(self.device, line, settings)
+        return made
+
+    def _transmitted(self, data: bytes) -> bool:
+        """Whether the link took it; what a CAN link does not take now is offered again."""
+        taken = self._external_transmit(data, self.clock.now_ns)
+        refused = self.can is not None and taken is not None and taken < len(data)
+        if self._journal is not None:
+            self._journal.write(self.clock.now_ns, "refused" if refused else "tx", data)
+        if not refused:
+            self._sender.take(data, self.clock.now_ns)
+        return not refused
+
+    def _frame_exposed(self, record: FrameRecord) -> None:
+        if self._truth is None:
+            return
+        if isinstance(record.pixels, RenderedFrame) and self.scene is not None:
+            self._truth.write(self.scene.truth(record.pixels).to_json() + "\n")
+        else:
+            fields = {
+                "frame_index": record.index,
+                "exposure_mid_ns": record.mid_exposure_ns,
+                "recorded": True,
+                "file": Path(str(getattr(record.pixels, "name", ""))).name,
+            }
+            self._truth.write(json.dumps(fields) + "\n")
+
+    def _apply_scenario_parameters(self) -> None:
+        """Parameters of the scenario are in the non-volatile memory at power-on."""
+        if not self.scenario.parameters:
+            return
+        contents, _ = self._store.load()
+        contents.parameters.update(parameters_of(self.scenario))
+        self._store.save(StoreContents(contents.parameters, contents.boot_count))
+
+    def _header(self, frames: RecordedFrames | None) -> dict[str, Any]:
+        contents, fault = self._store.load()
+        return {
+            "unit": self.profile.model_dump(mode="json"),
+            "scenario": self.scenario.model_dump(mode="json", by_alias=True),
+            "seed": self.seed,
+            "baud": self.baud,
+            "pace_reception": self._pace_reception,
+            "can": None if self.can is None else asdict(self.can),
+            "frames": None if frames is None else [str(Path(name).absolute()) for name in frames.names],
+            "hold": self._hold,
+            "store": {
+                "parameters": contents.parameters,
+                "boot_count": contents.boot_count,
+                "fault": None if fault is None else int(fault),
+            },
+        }

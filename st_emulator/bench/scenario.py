@@ -1,0 +1,203 @@
+"""Scenarios: a TOML file says how the unit moves, what the sky holds and which telecommands come when.
+
+Everything in a scenario happens at virtual times, so the same scenario gives the same bytes at any speed.
+The JSON schema
+is written by ``st-emulator export scenario-schema``. Faults and expectations will join as further tables.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from ..units.profile import NonNegative, Positive
+from ..units.validation import Section, parse_toml, read_text, validate
+
+# UTC has whole leap seconds from 1972 on; the on-board time, four octets of seconds since 1958, ends in 2094.
+FIRST_START = datetime(1972, 1, 1, tzinfo=UTC)
+END_OF_STARTS = datetime(2090, 1, 1, tzinfo=UTC)
+DEFAULT_START = datetime(2026, 1, 15, tzinfo=UTC)
+
+RightAscension = Annotated[
+    float, Field(ge=0, lt=360, description="ICRS right ascension of the boresight, degrees")
+]
+Declination = Annotated[float, Field(ge=-90, le=90, description="ICRS declination of the boresight, degrees")]
+Roll = Annotated[
+    float, Field(ge=-360, le=360, description="position angle of image up (-Y), degrees east of north")
+]
+Vector3 = tuple[float, float, float]
+
+
+class Pointing(Section):
+    ra_deg: RightAscension
+    dec_deg: Declination
+    roll_deg: Roll = 0.0
+
+
+class InertialTrajectory(Pointing):
+    """At rest to the stars."""
+
+    kind: Literal["inertial"] = "inertial"
+
+
+class ConstantRateTrajectory(Pointing):
+    """A constant angular rate in sensor axes from the pointing at power-on."""
+
+    kind: Literal["constant_rate"]
+    rate_deg_s: Annotated[
+        Vector3, Field(description="rate of the sensor to ICRS, sensor axes x, y, z, deg/s")
+    ]
+
+
+class EarthFixedTrajectory(Pointing):
+    """At rest on the turning Earth; the pointing is that of power-on.
+
+    With a site (geodetic, WGS 84, east positive) the observer also has a place and a velocity.
+    """
+
+    kind: Literal["earth_fixed"]
+    latitude_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    longitude_deg: Annotated[float, Field(ge=-180, le=360)] | None = None
+
+    @model_validator(mode="after")
+    def _whole_site(self) -> EarthFixedTrajectory:
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            raise ValueError("a site needs both latitude_deg and longitude_deg")
+        return self
+
+
+class HoldSegment(Section):
+    kind: Literal["hold"]
+    duration_s: Positive
+
+
+class SlewSegment(Section):
+    """A smooth turn by the shortest way to a pointing, at rest at both ends."""
+
+    kind: Literal["slew_to"]
+    duration_s: Positive
+    ra_deg: RightAscension
+    dec_deg: Declination
+    roll_deg: Roll = 0.0
+
+
+class RateSegment(Section):
+    """A constant rate in sensor axes, reached and left within ramp_s (0: at once)."""
+
+    kind: Literal["rate"]
+    duration_s: Positive
+    rate_deg_s: Vector3
+    ramp_s: NonNegative = 0.5
+
+
+Segment = Annotated[HoldSegment | SlewSegment | RateSegment, Field(discriminator="kind")]
+
+
+class SlewTrajectory(Pointing):
+    """Segments one after the other, from the pointing at power-on; after the last the attitude is held."""
+
+    kind: Literal["slew"]
+    segments: Annotated[list[Segment], Field(min_length=1)]
+
+
+class OrbitTrajectory(Section):
+    """A circular orbit, the sensor turning with the orbital frame (x along velocity, z to nadir)."""
+
+    kind: Literal["orbit"]
+    altitude_km: Annotated[float, Field(ge=150, le=40000)]
+    inclination_deg: Annotated[float, Field(ge=0, le=180)]
+    raan_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    argument_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    boresight: Annotated[
+        Vector3,
+        Field(
+            description="boresight in the orbital frame: x along velocity, y against the normal, z to nadir"
+        ),
+    ] = (0.0, 0.0, -1.0)
+    roll_deg: Annotated[float, Field(ge=-360, le=360, description="turn about the boresight")] = 0.0
+
+
+Trajectory = Annotated[
+    InertialTrajectory | ConstantRateTrajectory | EarthFixedTrajectory | SlewTrajectory | OrbitTrajectory,
+    Field(discriminator="kind"),
+]
+
+
+class Sky(Section):
+    """What the sky holds besides the stars."""
+
+    aberration: bool = True
+    sun: bool = True
+    moon: bool = True
+    earth: bool = True
+    false_spots: Annotated[int, Field(ge=0, le=1000)] = 0
+    false_spot_magnitudes: tuple[float, float] = (3.0, 6.0)
+
+
+class ScenarioTelecommand(Section):
+    """A telecommand that arrives on the line at a virtual time: by name and fields, or as raw bytes of
+    the line.
+    """
+
+    at_s: NonNegative
+    name: str | None = None
+    fields: dict[str, Any] = Field(default_factory=dict)
+    raw_hex: str | None = None
+
+    @model_validator(mode="after")
+    def _one_of(self) -> ScenarioTelecommand:
+        if (self.name is None) == (self.raw_hex is None):
+            raise ValueError("give either name (with fields) or raw_hex")
+        if self.raw_hex is not None:
+            try:
+                bytes.fromhex(self.raw_hex)
+            except ValueError:
+                raise ValueError("raw_hex must be pairs of hexadecimal digits") from None
+        return self
+
+
+class Scenario(Section):
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    name: str = "unnamed"
+    description: str = ""
+    duration_s: Positive | None = None
+    start_utc: datetime = DEFAULT_START
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+    trajectory: Trajectory = InertialTrajectory(ra_deg=83.0, dec_deg=-3.0, roll_deg=0.0)
+    sky: Sky = Sky()
+    parameters: dict[str, float | int] = Field(default_factory=dict)
+    telecommands: list[ScenarioTelecommand] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _start_fits(self) -> Scenario:
+        if self.start_utc.tzinfo is None:
+            raise ValueError("start_utc must carry its time zone, for instance 2026-01-15T00:00:00Z")
+        if not FIRST_START <= self.start_utc < END_OF_STARTS:
+            raise ValueError(
+                f"start_utc = {self.start_utc.isoformat()} is out of range; allowed are dates from "
+                f"{FIRST_START:%Y-%m-%d} to before {END_OF_STARTS:%Y-%m-%d}"
+            )
+        return self
+
+    @property
+    def where(self) -> str:
+        """What errors call this scenario: its file, else its name."""
+        return self.origin or f"scenario {self.name}"
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Load and validate a scenario file.
+
+    Raises:
+        ConfigurationError: names the file, the key and what is allowed.
+    """
+    path = Path(path)
+    return parse_scenario(read_text(path, "a scenario"), str(path))
+
+
+def parse_scenario(text: str, where: str) -> Scenario:
+    """Validate the TOML text of a scenario; ``where`` names it in errors."""
+    return validate(Scenario, parse_toml(text, where), where)

@@ -1,0 +1,58 @@
+"""What takes time is done before power comes on: tables loaded, kernels compiled (both are cached)."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from pathlib import Path
+
+from ..bench.emulator import Emulator
+from ..bench.scenario import Scenario, ScenarioTelecommand, Sky
+from ..bench.star_tables import star_tables
+from ..compiled_kernels import keep_compiled_kernels
+from ..units.profile import UnitProfile
+
+WARM_UP_S = 2.6
+_IN_A_CHILD = (
+    "import sys; from st_emulator.units.profile import UnitProfile; "
+    "from st_emulator.commands.warm_up import warm_up; "
+    "warm_up(UnitProfile.model_validate_json(sys.stdin.read()))"
+)
+
+
+def warm_up(profile: UnitProfile) -> None:
+    """Run seconds of a unit in virtual time: lost in space and tracking, so that no first frame is late."""
+    star_tables(profile)
+    scenario = Scenario(
+        sky=Sky(false_spots=1),
+        telecommands=[
+            ScenarioTelecommand(at_s=0.6, name="function", fields={"function_id": 2, "arguments": {}}),
+            ScenarioTelecommand(at_s=0.7, name="ping"),
+        ],
+    )
+    emulator = Emulator(profile, scenario)
+    emulator.advance(int(WARM_UP_S * 1e9))
+    with contextlib.suppress(OSError):
+        _marker().touch()
+
+
+def _marker() -> Path:
+    """Says that the kernels beside it are compiled."""
+    return keep_compiled_kernels() / "warmed-up"
+
+
+def compile_apart(profile: UnitProfile) -> None:
+    """Where the kernels are not compiled yet, let a child process do it: the compiler takes 200 MB and gives
+    none of it back. What the child leaves undone, :func:`warm_up` does.
+    """
+    if _marker().exists():
+        return
+    subprocess.run(
+        [sys.executable, "-c", _IN_A_CHILD],
+        input=profile.model_dump_json(),
+        text=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=False,
+    )

@@ -1,0 +1,104 @@
+"""The unit's memories that hold octets, and the checks of what must not change in them.
+
+``ram`` is a patch area, empty after each start. ``program`` is the software, copied from its store at each
+start. The star tables are read in place, by the firmware. All writing goes through here, so that a check that
+comes round has something to do only when there was some.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from ..firmware_model.configuration import StarTables
+from .commands import LoadMemory, Refusal, RefusedError
+
+RAM_BYTES = 65536  # ASSUMED: a patch area of 64 KiB
+PROGRAM_BYTES = 131072  # ASSUMED: room for the compiled stages, about 60 KiB, and as much again
+
+
+class Memories:
+    """Reads and writes by memory and address; every check is made before anything changes.
+
+    Args:
+        unit_name: decides what stands in the program memory.
+        tables: the on-board catalogue as it was stored.
+    """
+
+    def __init__(self, unit_name: str, tables: StarTables) -> None:
+        # ASSUMED: octets that stand for the software; nothing runs them.
+        self._stored_program = hashlib.shake_256(unit_name.encode()).digest(PROGRAM_BYTES)
+        self._stored_tables = tables
+        self._digest: bytes | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """As after a start: the patch area is empty, program and catalogue are copied from their stores."""
+        self.ram = bytearray(RAM_BYTES)
+        self.program = bytearray(self._stored_program)
+        self._tables = self._stored_tables
+        self._written = False
+
+    @property
+    def tables(self) -> StarTables:
+        """The on-board catalogue as it stands in memory now."""
+        return self._tables
+
+    def overwrite_tables(self, tables: StarTables) -> None:
+        """Other octets stand where the catalogue was: the seam where its damage enters."""
+        self._tables = tables
+        self._written = True
+
+    def _writable(self, memory: str) -> bytearray:
+        match memory:
+            case "ram":
+                return self.ram
+            case "program":
+                return self.program
+            case _:
+                raise RefusedError(Refusal.READ_ONLY, memory)
+
+    def check_load(self, command: LoadMemory) -> None:
+        """Refuse a memory that cannot be written and an address outside it."""
+        if command.start + len(command.data) > len(self._writable(command.memory)):
+            raise RefusedError(Refusal.ADDRESS, command.start)
+
+    def load(self, command: LoadMemory) -> None:
+        """Write."""
+        end = command.start + len(command.data)
+        self._writable(command.memory)[command.start : end] = command.data
+        self._written = True
+
+    def ram_works(self) -> bool:
+        """Write and read back two patterns, then restore the contents."""
+        kept = bytes(self.ram)
+        works = True
+        for pattern in (0x55, 0xAA):
+            self.ram[:] = bytes([pattern]) * RAM_BYTES
+            works = works and self.ram.count(pattern) == RAM_BYTES
+        self.ram[:] = kept
+        return works
+
+    def program_is_whole(self) -> bool:
+        """Whether the program is what its store holds."""
+        return self.program == self._stored_program
+
+    def catalogue_is_whole(self) -> bool:
+        """Whether the catalogue has the checksum of the stored one."""
+        if self._digest is None:
+            self._digest = digest_of(self._stored_tables)
+        return digest_of(self._tables) == self._digest
+
+    @property
+    def written(self) -> bool:
+        """Whether anything was written since the start."""
+        return self._written
+
+
+def digest_of(tables: StarTables) -> bytes:
+    """Digest of the on-board star tables."""
+    digest = hashlib.sha256()
+    for array in tables.arrays():
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.digest()

@@ -1,0 +1,1 @@
+"""Languages in front of the device: octets to commands, reports to octets."""

@@ -1,0 +1,1 @@
+"""The device in PUS: reception, verification, transmission, and one module a service."""

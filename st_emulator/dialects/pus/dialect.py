@@ -1,0 +1,251 @@
+"""PUS in front of the device, over SLIP on a serial line or ISO-TP on a CAN bus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from ...clock import NS_PER_US
+from ...device import reports
+from ...device.counters import saturated
+from ...device.star_tracker import StarTracker
+from ...firmware_model.causes import ResetCause
+from ...firmware_model.link_work import line_work, round_work, telecommand_work
+from ...firmware_model.work import Work
+from ...protocol.pus.enumerations import EventId, FailureCode, HousekeepingId, MalformedReason
+from ...protocol.pus.packets import Telecommand, error_controlled_bytes
+from ...wire.can.port import CanPort
+from ...wire.port import PortClient, UnitPort
+from ...wire.slip_port import SlipPort
+from ..dialect import CanWire, SerialWire
+from .cyclic import CyclicFrames
+from .reception import Check, Receiver
+from .services import (
+    connection_test,
+    events,
+    functions,
+    housekeeping,
+    memory,
+    parameters,
+    time_management,
+)
+from .services.attitude import attitude_fields
+from .services.large_data import LargeData
+from .serving import Served
+from .structures import link_values, no_bus_values, status_values, timing_values
+from .transmission import Transmitter
+from .verification import RejectedError
+
+#: Every telecommand of the language: how it is served. A test holds it equal to the registry.
+SERVED: Mapping[str, Served[Any]] = {
+    **connection_test.SERVED,
+    **housekeeping.SERVED,
+    **events.SERVED,
+    **memory.SERVED,
+    **time_management.SERVED,
+    **functions.SERVED,
+    **parameters.SERVED,
+}
+
+
+class PusDialect:
+    """One unit's PUS application on one port (see :class:`~st_emulator.dialects.dialect.Dialect`).
+
+    It is the port's client: nothing that comes in is taken while the device does not listen.
+
+    Args:
+        device: the device.
+        make_port: makes the port, which tells this dialect what comes in.
+        make_cyclic: makes what a CAN port has beside packets, of (device, how to raise an event).
+    """
+
+    def __init__(
+        self,
+        device: StarTracker,
+        make_port: Callable[[PortClient], UnitPort],
+        make_cyclic: Callable[[StarTracker, events.Events], CyclicFrames] | None = None,
+    ) -> None:
+        self.device = device
+        self.port = make_port(self)
+        wire = device.profile.wire
+        self.transmitter = Transmitter(device, self.port, wire.apid, wire.source_id)
+        self.events = events.Events(self.send)
+        self.receiver = Receiver(self.send, self.events.raise_event, self._check_of, wire.apid)
+        self.cyclic = None if make_cyclic is None else make_cyclic(device, self.events)
+        self.image = LargeData(device, self.port, self.transmitter, self.events.raise_event)
+        self.time = time_management.TimeManagement(device, self.send)
+        self.housekeeping = housekeeping.Housekeeping(
+            device,
+            self.send,
+            {
+                HousekeepingId.STATUS: partial(status_values, device),
+                HousekeepingId.LINK: partial(
+                    link_values, self.receiver.counters, self.transmitter, self.port
+                ),
+                HousekeepingId.TIMING: partial(timing_values, device),
+                HousekeepingId.CAN: no_bus_values if self.cyclic is None else self.cyclic.housekeeping,
+            },
+        )
+        self._checks: dict[str, Check] = {}
+        self._serve(connection_test.ConnectionTest(), connection_test.SERVED)
+        self._serve(self.housekeeping, housekeeping.SERVED)
+        self._serve(self.events, events.SERVED)
+        self._serve(memory.MemoryManagement(device, self.image), memory.SERVED)
+        self._serve(self.time, time_management.SERVED)
+        self._serve(functions.Functions(device, self.image), functions.SERVED)
+        self._serve(parameters.ParameterManagement(device), parameters.SERVED)
+        self._reception = Work()  # not yet in the work of a frame
+
+    @classmethod
+    def on_serial(cls, device: StarTracker, wire: SerialWire) -> PusDialect:
+        """On a serial line."""
+
+        def port(client: PortClient) -> UnitPort:
+            return SlipPort(wire.clock, wire.baud, wire.transmit, client, pace_reception=wire.pace_reception)
+
+        return cls(device, port)
+
+    @classmethod
+    def on_can(cls, device: StarTracker, wire: CanWire) -> PusDialect:
+        """On a CAN bus, with cyclic frames beside the packets."""
+        settings = wire.wiring.port_settings(device.profile.can)
+        made: list[CanPort] = []
+
+        def port(client: PortClient) -> UnitPort:
+            made.append(CanPort(wire.clock, settings, wire.transmit, client, wire.disturbance))
+            return made[0]
+
+        def cyclic(device: StarTracker, of: events.Events) -> CyclicFrames:
+            return CyclicFrames(device, made[0], of.raise_event)
+
+        return cls(device, port, cyclic)
+
+    def _serve(self, service: Any, table: Mapping[str, Served[Any]]) -> None:
+        for name, served in table.items():
+            self._checks[name] = partial(served.check, service)
+
+    # -- Dialect
+
+    def arrive(self, data: bytes) -> None:
+        self.port.arrive(data)
+
+    def drain_ns(self) -> int:
+        return self.port.drain_ns(self.port.queued_bytes)
+
+    def take_work(self) -> Work:
+        received, self._reception = self._reception, Work()
+        return round_work(self.transmitter.take_work(), received)
+
+    def where(self) -> str:
+        return f"{self.port.where()}, APID {self.device.profile.apid}"
+
+    @property
+    def messages_received(self) -> int:
+        return self.receiver.counters.tc_received
+
+    @property
+    def messages_sent(self) -> int:
+        return self.transmitter.packets
+
+    def on(self, report: reports.Report) -> None:
+        match report:
+            case reports.Restarted(cause):
+                self._restart(cause)
+            case reports.Booted():
+                self._booted(report)
+            case reports.GoingDown():
+                self.image.abort()
+                self.housekeeping.reset()
+                self.time.reset()
+            case reports.WentOff():
+                self.port.restart()  # what waits, cyclic frames too
+            case reports.CountersCleared():
+                self.receiver.counters.clear()
+                self.transmitter.clear_counters()
+                if self.cyclic is not None:
+                    self.cyclic.clear_counters()
+            case reports.FrameStarted(frame_index):
+                self.time.frame_started(frame_index)
+            case reports.AttitudeReady():
+                self._report_attitude(report)
+            case reports.ImageCaptured(image):
+                self.image.image_captured(image)
+            case _:
+                self.events.report(report)
+
+    def _restart(self, cause: ResetCause) -> None:
+        self.transmitter.reset()
+        self.receiver.reset()
+        self.events.reset()
+        self.image.reset()
+        self.housekeeping.reset()
+        self.time.reset()
+        if self.cyclic is not None:
+            self.cyclic.reset()
+
+    def _booted(self, report: reports.Booted) -> None:
+        self.events.report(report)
+        if self.cyclic is not None:
+            self.cyclic.start()
+        interval_ms = self.device.profile.wire.status_interval_ms
+        if interval_ms:
+            self.housekeeping.start(HousekeepingId.STATUS, interval_ms)
+
+    def _report_attitude(self, report: reports.AttitudeReady) -> None:
+        wanted = report.record.settings.report
+        if not wanted and self.cyclic is None:
+            return
+        fields = attitude_fields(self.device, report)
+        if self.cyclic is not None and not self.device.silent:
+            self.cyclic.report_attitude(fields)
+        if wanted:
+            self.send("attitude_report", fields)
+
+    # -- the port's client
+
+    @property
+    def listening(self) -> bool:
+        return self.device.listening
+
+    @property
+    def silent(self) -> bool:
+        return self.device.silent
+
+    def bytes_received(self, count: int) -> None:
+        self.receiver.counters.rx_bytes += count
+        self._reception += line_work(count)
+
+    def packet_received(self, raw: bytes, last_bit_ns: int) -> None:
+        self._reception += telecommand_work(error_controlled_bytes(raw))
+        latency_ns = self.device.profile.timing.telecommand_latency_us * NS_PER_US
+        self.device.later(latency_ns, partial(self._handle, raw, last_bit_ns))
+
+    def packet_discarded(self, reason: MalformedReason, length: int) -> None:
+        self.receiver.discarded(reason, length)
+
+    def _handle(self, raw: bytes, received_ns: int) -> None:
+        if self.device.listening:
+            self.receiver.handle(raw, received_ns)
+
+    def _check_of(self, telecommand: Telecommand) -> Check:
+        """What checks a telecommand, if the present mode allows it."""
+        served = SERVED.get(telecommand.name)
+        if served is None:
+            raise RejectedError(
+                FailureCode.UNKNOWN_SUBSERVICE, telecommand.service << 8 | telecommand.subservice
+            )
+        if self.device.mode not in served.modes_for(telecommand.fields):
+            raise RejectedError(FailureCode.NOT_ALLOWED_IN_MODE, int(self.device.mode))
+        return self._checks[telecommand.name]
+
+    # -- out
+
+    def send(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool:
+        """Send telemetry; nothing leaves in BOOT and OFF."""
+        if self.device.silent:
+            return False
+        sent = self.transmitter.send(name, fields, destination_id)
+        if sent and self.transmitter.has_room and (lost := self.transmitter.take_lost()):
+            self.events.raise_event(EventId.TX_QUEUE_OVERFLOWED, packets=saturated(lost, 16))
+        return sent

@@ -1,0 +1,209 @@
+"""The pacer: virtual time against the computer's clock. The only place that looks at it while a unit runs.
+
+The loop waits in ``select`` for the OBC's bytes or the next event. Frames are computed in a worker thread,
+started at
+their exposure, so that no telecommand waits for pixels.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import FrameType
+from typing import Any
+
+from ..bench.emulator import Emulator
+from ..clock import NS_PER_S
+from ..links import Link
+
+POLL_S = 0.02  # for links that cannot be waited for
+LONGEST_WAIT_S = 0.5
+HELD_UP_NS = 20_000_000  # later than this after what was due: the computer did not let the loop run
+SWITCH_INTERVAL_S = 0.0005  # the worker gives way to the loop this soon
+LOOP_PRIORITY = 1  # the least of the real-time priorities
+
+
+class FrameWorker:
+    """Computes frames in order in a thread beside the loop."""
+
+    def __init__(self) -> None:
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="frame", initializer=behind_the_loop)
+
+    def submit(self, compute: Callable[[], Any]) -> Future[Any]:
+        return self._executor.submit(compute)
+
+    def close(self) -> None:
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+class StopSignal:
+    """SIGINT and SIGTERM end a run at once and cleanly: they wake the loop and set a flag."""
+
+    def __init__(self) -> None:
+        self.stopped = False
+        self._interrupts = False
+        self._read, self._write = socket.socketpair()
+        self._read.setblocking(False)
+        self._write.setblocking(False)
+
+    def fileno(self) -> int:
+        return self._read.fileno()
+
+    def stop(self) -> None:
+        self.stopped = True
+        with contextlib.suppress(OSError):
+            self._write.send(b"x")
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.stop()
+        if self._interrupts:
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def interrupting(self) -> Iterator[None]:
+        """In the block a signal raises KeyboardInterrupt: for work that does not look at the flag."""
+        if self.stopped:
+            raise KeyboardInterrupt
+        self._interrupts = True
+        try:
+            yield
+        finally:
+            self._interrupts = False
+
+    @contextlib.contextmanager
+    def installed(self) -> Iterator[StopSignal]:
+        """Handle the signals while in the block."""
+        before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def close(self) -> None:
+        self._read.close()
+        self._write.close()
+
+
+@contextlib.contextmanager
+def quick_switching() -> Iterator[None]:
+    """Short thread switches and no collection of long-lived objects while in real time."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before)
+
+
+@contextlib.contextmanager
+def ahead_of_others() -> Iterator[bool]:
+    """The calling thread goes before other work on the computer where the system lets it (root, or a limit on
+    real-time priority), for a woken loop waits for milliseconds on a busy machine. Yields whether it does.
+    Threads that it starts meanwhile do so too.
+    """
+    try:
+        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(LOOP_PRIORITY))
+    except (AttributeError, OSError):  # no such thing here, or not for us
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
+
+
+def behind_the_loop() -> None:
+    """The calling thread, started by the loop, goes with other work: it may compute for long."""
+    with contextlib.suppress(AttributeError, OSError):
+        if os.sched_getscheduler(0) == os.SCHED_FIFO:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def held_up(emulator: Emulator, now_ns: int) -> bool:
+    """Whether the computer did not let the loop run when something was due.
+
+    What came meanwhile came nobody knows when. It counts before what was due: a timeout of the unit must not
+    pass while its answer waits in the link.
+    """
+    due_ns = emulator.next_event_ns()
+    return due_ns is not None and now_ns - due_ns > HELD_UP_NS
+
+
+def run_paced(
+    emulator: Emulator,
+    link: Link,
+    *,
+    stop: StopSignal,
+    speed: float = 1.0,
+    until_ns: int | None = None,
+    on_wait: Callable[[], None] = lambda: None,
+) -> None:
+    """Run at ``speed`` times real time until ``until_ns`` (virtual) or a signal.
+
+    ``on_wait`` is called about twice a second when nothing is due (progress, flushing of files).
+    """
+    descriptor = link.fileno()
+    origin_ns = time.monotonic_ns()
+    last_wait_ns = origin_ns
+
+    def virtual_now_ns() -> int:
+        return int((time.monotonic_ns() - origin_ns) * speed)
+
+    # Only where somebody listens in real time: the loop then sleeps nearly always.
+    priority = ahead_of_others() if speed == 1 and descriptor is not None else contextlib.nullcontext()
+    with quick_switching(), priority:
+        while not stop.stopped:
+            now_ns = virtual_now_ns()
+            if held_up(emulator, now_ns) and (data := link.read()):
+                emulator.receive(data)
+            if until_ns is not None and now_ns >= until_ns:
+                emulator.advance(until_ns)
+                break
+            emulator.advance(now_ns)
+            due_ns = emulator.next_event_ns()
+            if until_ns is not None:
+                due_ns = until_ns if due_ns is None else min(due_ns, until_ns)
+            wall_ns = time.monotonic_ns()
+            wait_s = LONGEST_WAIT_S if due_ns is None else (due_ns - virtual_now_ns()) / speed / NS_PER_S
+            if wall_ns - last_wait_ns > NS_PER_S // 2 and wait_s > 0.002:
+                last_wait_ns = wall_ns
+                on_wait()
+                continue
+            wait_s = min(max(wait_s, 0.0), LONGEST_WAIT_S if descriptor is not None else POLL_S)
+            waited_for: list[Any] = [stop] if descriptor is None else [stop, descriptor]
+            ready, _, _ = select.select(waited_for, [], [], wait_s)
+            if descriptor is None or descriptor in ready:
+                data = link.read()
+                if data:
+                    now_ns = virtual_now_ns()
+                    if not held_up(emulator, now_ns):
+                        # Everything due before the bytes came is done before they count.
+                        emulator.advance(now_ns)
+                    emulator.receive(data)
+
+
+def run_unpaced(
+    emulator: Emulator,
+    *,
+    stop: StopSignal,
+    until_ns: int,
+    on_step: Callable[[], None] = lambda: None,
+) -> None:
+    """Run as fast as the computer can until ``until_ns`` (virtual) or a signal."""
+    step_ns = NS_PER_S
+    while not stop.stopped and emulator.now_ns < until_ns:
+        emulator.advance(min(until_ns, emulator.now_ns + step_ns))
+        on_step()

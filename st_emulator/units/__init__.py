@@ -1,0 +1,1 @@
+"""Units: their files, what these hold and how they are validated."""
