@@ -182,7 +182,7 @@ def plan_windows(
     return TrackingPlan(neighbours[chosen], reference[chosen], x, y, window, rects[:windows], half), work
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _merge_windows_kernel(
     x: FloatArray, y: FloatArray, half: int, width: int, height: int, rects: IntArray, window: IntArray
 ) -> tuple[int, int]:
@@ -312,7 +312,7 @@ class _Verification(NamedTuple):
 # The parts of the kernel are those of arm/tracking.c, under the same names.
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _chord_square(u: FloatArray, i: int, v: FloatArray, j: int) -> float:
     """Square of the chord between the unit vectors u[i] and v[j]: 4 sin^2 of half their angle."""
     dx = u[i, 0] - v[j, 0]
@@ -322,7 +322,7 @@ def _chord_square(u: FloatArray, i: int, v: FloatArray, j: int) -> float:
     return square
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _chord_bounds(v: _Verification, pivot: int, star: int) -> tuple[float, float]:
     """Squares of the chords between which an angle is within the tolerance of that of two catalogue stars.
 
@@ -336,14 +336,14 @@ def _chord_bounds(v: _Verification, pivot: int, star: int) -> tuple[float, float
     return least * least, (middle + reach) * (middle + reach)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _forget(square: FloatArray) -> None:
     """Forget the squares of chords: none is below zero."""
     for i in range(len(square)):
         square[i] = -1.0
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _try_pivot(v: _Verification, pivot: int, pivot_spot: int, counts: npt.NDArray[np.int64]) -> int:
     """Spots of the other stars when pivot_spot is the spot of pivot, to room.trial; how many verify with it.
 
@@ -405,7 +405,7 @@ def _try_pivot(v: _Verification, pivot: int, pivot_spot: int, counts: npt.NDArra
     return verified
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _verify_kernel(
     reference: FloatArray,
     hp_mag: npt.NDArray[np.float32],

@@ -126,9 +126,7 @@ def with_sensor(bench: Bench, frames: int) -> Dead:
 def test_a_dead_sensor(bench: Bench) -> None:
     sensor = with_sensor(bench, 6)
     bench.function("START_ACQUISITION", ack=0)
-    bench.run(6 * 250 + 250)
-    bench.forget()
-    bench.run(8 * 250)
+    bench.run(6 * 250 + 8 * 250 + 250)
     assert len(bench.events("FRAME_DROPPED")) == 7, "and with the eighth there is nothing more to wait for"
     assert faults(bench) == [SENSOR_LOST]
     bench.run(1000)

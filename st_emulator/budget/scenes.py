@@ -19,6 +19,7 @@ from ..bench.scenario import Scenario
 from ..bench.star_tables import star_tables
 from ..bench.world_of import bodies_of, camera_model, scene_of, sky_of
 from ..campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_section
+from ..compiled_kernels import keep_compiled_kernels
 from ..device.calibration import firmware_configuration
 from ..device.parameters import default_parameters
 from ..firmware_model.configuration import FirmwareConfiguration, StarTables
@@ -278,6 +279,7 @@ def _bare_renderer(profile_json: str, hot_pixel_fraction: float | None) -> Scene
     if hot_pixel_fraction is not None:
         profile = with_section(profile, "detector", hot_pixel_fraction=hot_pixel_fraction)
     start = start_tai_ns()
+    keep_compiled_kernels()
     return SceneRenderer(
         camera_model(profile),
         sky_of(start),

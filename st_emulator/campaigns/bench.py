@@ -15,6 +15,7 @@ from ..bench.frame_context import synchronised_context
 from ..bench.scenario import Scenario, Sky
 from ..bench.star_tables import star_tables
 from ..bench.world_of import bodies_of, camera_model, sky_of
+from ..compiled_kernels import keep_compiled_kernels
 from ..device.calibration import firmware_configuration
 from ..device.parameters import default_parameters
 from ..firmware_model.configuration import FirmwareConfiguration
@@ -54,6 +55,7 @@ def _scene(profile_json: str, seed: int, sky_json: str) -> SceneRenderer:
     profile = UnitProfile.model_validate_json(profile_json)
     sky = Sky.model_validate_json(sky_json)
     start = start_tai_ns()
+    keep_compiled_kernels()
     return SceneRenderer(
         camera_model(profile),
         sky_of(start),

@@ -21,6 +21,7 @@ from st_emulator.bench.frame_context import synchronised_context
 from st_emulator.bench.star_tables import star_tables
 from st_emulator.bench.world_of import camera_model, sky_of
 from st_emulator.campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_section
+from st_emulator.compiled_kernels import keep_compiled_kernels
 from st_emulator.device.calibration import firmware_configuration
 from st_emulator.device.parameters import default_parameters
 from st_emulator.firmware_model.configuration import FirmwareConfiguration, StarTables
@@ -267,6 +268,7 @@ def _renderer(profile: UnitProfile, sequence: SkySequence) -> SceneRenderer:
     start = start_tai_ns()
     q = random_pointings(sequence.number + 1, sequence.seed)[sequence.number]
     rate = np.radians(sequence.rate_deg_s)
+    keep_compiled_kernels()
     return SceneRenderer(
         camera_model(profile),
         sky_of(start),
