@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from datetime import UTC, datetime
 
 import erfa
@@ -16,7 +17,9 @@ def tai_minus_utc_s(moment: datetime) -> float:
     utc = moment.astimezone(UTC)
     if utc.year < 1972:
         return 10.0
-    return float(erfa.dat(utc.year, utc.month, utc.day, 0.0))
+    with warnings.catch_warnings():  # "dubious year": leap seconds of the future are not announced
+        warnings.simplefilter("ignore", erfa.ErfaWarning)
+        return float(erfa.dat(utc.year, utc.month, utc.day, 0.0))
 
 
 def tai_ns_from_utc(moment: datetime | str) -> int:

@@ -248,6 +248,7 @@ class StarTracker:
         if transition(self.mode, ModeEvent.FAULT_DETECTED) is None:
             return
         self.imaging.stop()
+        self._health.reset()  # the self-test judges anew
         self.image_memory.abort_capture()
         self._give_up_acquisition(Failure.ABORTED)
         self._give_up_self_test()

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+from ..clock import NS_PER_S
 from ..naming import field_text, member
 from ..protocol.pus.enumerations import HousekeepingId, Mode
 from ..protocol.pus.fields import Element, Field
@@ -18,7 +19,6 @@ from .attitude import Attitude
 from .client import Obc
 from .counters import CanCounters
 from .cuc_time import seconds
-from .verification import NS_PER_S
 
 OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
     "==": operator.eq,

@@ -8,10 +8,10 @@ from ideal_obc import IdealObc
 from running_unit import SCENARIO
 
 from st_emulator.bench.scenario import parse_scenario
+from st_emulator.clock import NS_PER_S
 from st_emulator.protocol.pus.enumerations import FunctionId
 from st_emulator.units.profile import load_unit
 
-NS_PER_S = 1_000_000_000
 WARM_UP_S = 5
 PARTS = ("image_first_part", "image_part", "image_last_part")
 
