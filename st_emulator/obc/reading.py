@@ -11,6 +11,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
+from ..clock import NS_PER_S
 from ..links import Link, LinkError
 
 POLL_INTERVAL_S = 0.001
@@ -161,14 +162,27 @@ class LiveReader:
 class SteppedReader:
     """Listens only while somebody waits, and makes the time itself: `step(now_ns)` runs the other side.
 
-    Nothing depends on the computer's clock, so that a run gives the same every time.
+    Nothing depends on the computer's clock, so that a run gives the same every time. With `next_event_ns`,
+    which tells when the other side has something to do next, a step goes from event to event, and what
+    comes is seen when it comes; without it a step takes `step_ns`. `epoch` is the civil time at the start,
+    `now_ns` the time then.
     """
 
-    def __init__(self, step: Callable[[int], None], step_ns: int = 1_000_000) -> None:
+    def __init__(
+        self,
+        step: Callable[[int], None],
+        step_ns: int = 1_000_000,
+        *,
+        next_event_ns: NextDeadline | None = None,
+        epoch: datetime = STEPPED_EPOCH,
+        now_ns: int = 0,
+    ) -> None:
         self.lock = threading.RLock()
         self._step = step
         self._step_ns = step_ns
-        self._now_ns = 0
+        self._next_event_ns = next_event_ns
+        self._epoch = epoch
+        self._begun_ns = self._now_ns = now_ns
         self._link: Link | None = None
         self._take: TakeBytes | None = None
         self._next_deadline_ns: NextDeadline = never
@@ -178,8 +192,8 @@ class SteppedReader:
         return self._now_ns
 
     def utc_now(self) -> datetime:
-        """Steps so far, counted from STEPPED_EPOCH."""
-        return STEPPED_EPOCH + timedelta(microseconds=self._now_ns // 1000)
+        """Steps so far, counted from the epoch."""
+        return self._epoch + timedelta(microseconds=(self._now_ns - self._begun_ns) // 1000)
 
     def start(self, link: Link, take: TakeBytes, next_deadline_ns: NextDeadline = never) -> None:
         """Begin to listen."""
@@ -201,12 +215,19 @@ class SteppedReader:
                 return True
             if self._now_ns >= deadline_ns:
                 return False
-            next_ns = min(self._now_ns + self._step_ns, deadline_ns)
+            next_ns = min(self._end_of_step_ns(), deadline_ns)
             due_ns = self._next_deadline_ns()
             if due_ns is not None and self._now_ns < due_ns < next_ns:
                 next_ns = due_ns
             self._now_ns = next_ns
             self._step(next_ns)
+
+    def _end_of_step_ns(self) -> int:
+        if self._next_event_ns is None:
+            return self._now_ns + self._step_ns
+        self._step(self._now_ns)  # what was written to the other side may bring its next event forward
+        event_ns = self._next_event_ns()
+        return self._now_ns + NS_PER_S if event_ns is None else max(event_ns, self._now_ns)
 
     def stop(self) -> None:
         """Listen no more."""
