@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -64,15 +65,15 @@ def process_frame(
     if detection.exposure_s != exposure_s:
         detection = replace(detection, exposure_s=exposure_s)
     velocity = velocity_over_c(context, configuration, log)
-    if tracking:
-        outcome = _track(frame, context, state, configuration, tables, detection, velocity, log)
-    else:
-        outcome = _find(frame, configuration, tables, detection, velocity, log)
+    search = SEARCHES[Mode.TRACKING if tracking else Mode.LOST_IN_SPACE]
+    outcome = search(frame, context, state, configuration, tables, detection, velocity, log)
     return _conclude(outcome, tracking, context, state, configuration, log)
 
 
 def _find(
     frame: Frame,
+    context: FrameContext,
+    state: FirmwareState,
     configuration: FirmwareConfiguration,
     tables: StarTables,
     detection: DetectionParameters,
@@ -80,9 +81,7 @@ def _find(
     log: FrameLog,
 ) -> SearchOutcome:
     """Lost in space: the whole frame against the whole catalogue."""
-    image = frame.full()
-    spots, detection_work = detect(image, detection)
-    log.step("detect", {"image": image, "parameters": detection}, spots, detection_work)
+    spots = log.run("detect", detect, image=frame.full(), parameters=detection)
     if spots.background_dn > configuration.blinded_background_dn:
         return SearchOutcome(Reason.BLINDED, spots)
     if spots.overflowed:
@@ -158,75 +157,46 @@ def _track(
     assert state.q_icrs_to_sensor is not None
     interval_s = abs(context.t_mid_ns - state.t_ns) * 1e-9
     exposure_s = context.exposure_ns * 1e-9
-    plan, plan_work = plan_windows(
-        state.q_icrs_to_sensor,
-        state.pivot,
-        tables.catalogue,
-        geometry,
-        parameters,
-        interval_s,
-        exposure_s,
-        velocity,
-    )
-    log.step(
+    plan = log.run(
         "plan",
-        {
-            "q_icrs_to_sensor": state.q_icrs_to_sensor,
-            "pivot_star": state.pivot,
-            "catalogue": tables.catalogue,
-            "geometry": geometry,
-            "parameters": parameters,
-            "interval_s": interval_s,
-            "exposure_s": exposure_s,
-            "velocity": velocity,
-        },
-        plan,
-        plan_work,
+        plan_windows,
+        q_icrs_to_sensor=state.q_icrs_to_sensor,
+        pivot_star=state.pivot,
+        catalogue=tables.catalogue,
+        geometry=geometry,
+        parameters=parameters,
+        interval_s=interval_s,
+        exposure_s=exposure_s,
+        velocity_over_c=velocity,
     )
     if len(plan.star) == 0:
         return SearchOutcome(Reason.TOO_FEW_STARS, Spots.empty(), half_width_px=plan.half_width_px, plan=plan)
     flat, offsets = frame.windows(plan.rects)
     keep = plan.stars_in_windows() + np.int32(_SPARE_SPOTS)
-    found, window_work = detect_in_windows(
-        flat,
-        offsets,
-        plan.rects,
-        detection,
+    found = log.run(
+        "windows",
+        detect_in_windows,
+        flat=flat,
+        offsets=offsets,
+        rects=plan.rects,
+        parameters=detection,
         width_px=geometry.width_px,
         height_px=geometry.height_px,
         keep=keep,
-    )
-    log.step(
-        "windows",
-        {
-            "flat": flat,
-            "offsets": offsets,
-            "rects": plan.rects,
-            "parameters": detection,
-            "width_px": geometry.width_px,
-            "height_px": geometry.height_px,
-            "keep": keep,
-        },
-        found,
-        window_work,
     )
     spots = found.spots
     blank = SearchOutcome(Reason.NONE, spots, rects=plan.rects, half_width_px=plan.half_width_px, plan=plan)
     if spots.background_dn > configuration.blinded_background_dn:
         return replace(blank, reasons=Reason.BLINDED)
     b_vectors = directions(spots, configuration, log)
-    verification, verification_work = verify_by_pivot(plan, found, b_vectors, tables.catalogue, parameters)
-    log.step(
+    verification = log.run(
         "verify",
-        {
-            "plan": plan,
-            "found": found,
-            "b_vectors": b_vectors,
-            "catalogue": tables.catalogue,
-            "parameters": parameters,
-        },
-        verification,
-        verification_work,
+        verify_by_pivot,
+        plan=plan,
+        found=found,
+        b_vectors=b_vectors,
+        catalogue=tables.catalogue,
+        parameters=parameters,
     )
     if verification.pivot < 0:
         reasons = Reason.PIVOT_LOST
@@ -278,6 +248,10 @@ def _track(
         plan=plan,
         false_solutions=float(chance),
     )
+
+
+#: How a frame is searched in each mode.
+SEARCHES: dict[Mode, Callable[..., SearchOutcome]] = {Mode.LOST_IN_SPACE: _find, Mode.TRACKING: _track}
 
 
 def _rate_too_high(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ IntArray = npt.NDArray[np.int32]
 
 ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
 _NO_VELOCITY = np.zeros(3)
+ResultT = TypeVar("ResultT")
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,12 @@ class FrameLog:
 
     work: Work
     trace: Trace | None
+
+    def run(self, name: str, function: Callable[..., tuple[ResultT, Work]], **arguments: Any) -> ResultT:
+        """Run a step of ``frame_trace.STEPS``, count its work and show it to the trace."""
+        result, work = function(**arguments)
+        self.step(name, arguments, result, work)
+        return result
 
     def step(self, name: str, arguments: Mapping[str, Any], result: Any, work: Work) -> None:
         """Count a step's work and show it to the trace."""

@@ -142,9 +142,9 @@ def plan_record(
         "parameters": parameters,
         "interval_s": interval_s,
         "exposure_s": 0.1,
-        "velocity": velocity,
+        "velocity_over_c": velocity,
     }
-    values = [value for name, value in arguments.items() if name != "velocity"]
+    values = [value for name, value in arguments.items() if name != "velocity_over_c"]
     plan, work = plan_windows(*values, velocity)
     return StepRecord("plan", arguments, plan, work)
 
@@ -196,7 +196,7 @@ def test_stars_as_bright_as_each_other_stay_in_the_grids_order(machine: ArmMachi
     for _ in range(6):
         record = plan_record(SKY, random_attitude(rng), max_windows=9)
         arguments = record.arguments | {"catalogue": catalogue}
-        values = [value for name, value in arguments.items() if name != "velocity"]
+        values = [value for name, value in arguments.items() if name != "velocity_over_c"]
         plan, work = plan_windows(*values, REST)
         assert len(np.unique(steps[plan.star])) < len(plan.star) == 9
         PLAN.run(machine, StepRecord("plan", arguments, plan, work))

@@ -1,8 +1,7 @@
 """Scenarios: a TOML file says how the unit moves, what the sky holds and which telecommands come when.
 
 Everything in a scenario happens at virtual times, so the same scenario gives the same bytes at any speed.
-The JSON schema
-is written by ``st-emulator export scenario-schema``. Faults and expectations will join as further tables.
+The JSON schema is written by ``st-emulator export scenario-schema``.
 """
 
 from __future__ import annotations

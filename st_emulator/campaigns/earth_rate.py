@@ -26,9 +26,8 @@ def fitted_rotation_deg_s(t_s: NDArray[np.float64], q: NDArray[np.float64]) -> N
     """Rate vector (deg/s, sensor axes of the middle attitude) of the constant rotation that fits ``q[n,
     4]`` best.
 
-    Least squares on the rotation vectors from the middle attitude, whose components grow linearly with
-    time for a
-    rotation about a fixed axis.
+    Least squares on the rotation vectors from the middle attitude, whose components grow linearly with time
+    for a rotation about a fixed axis.
     """
     middle = q[len(q) // 2]
     turns = np.array(

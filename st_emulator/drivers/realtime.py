@@ -1,8 +1,7 @@
 """The pacer: virtual time against the computer's clock. The only place that looks at it while a unit runs.
 
 The loop waits in ``select`` for the OBC's bytes or the next event. Frames are computed in a worker thread,
-started at
-their exposure, so that no telecommand waits for pixels.
+started at their exposure, so that no telecommand waits for pixels.
 """
 
 from __future__ import annotations

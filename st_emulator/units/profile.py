@@ -1,9 +1,8 @@
 """Unit files: one TOML file describes one star tracker, validated on load.
 
-A unit is data. The shipped units lie in ``st_emulator/units``; a user's own unit is one more file,
-named by its path.
-An error names the file, the key and what is allowed. The JSON schema is written by ``st-emulator export
-unit-schema``.
+A unit is data. The shipped units lie in ``st_emulator/units``; a user's own unit is one more file, named by
+its path. An error names the file, the key and what is allowed. The JSON schema is written by ``st-emulator
+export unit-schema``.
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ Conventions, held everywhere in this room:
   components in the sensor frame, ``v_S = A(q) v_ICRS`` with ``A(q) = (w^2 - v.v) I + 2 v v^T - 2 w [v x]``
   (Shuster, "A Survey of Attitude Representations", J. Astronaut. Sci. 41 (1993), equation 97);
 - products keep the order of the matrices: ``A(multiply(a, b)) = A(a) A(b)`` (the same paper, equations
-171-172); - the canonical sign is ``w >= 0``.
+  171-172);
+- the canonical sign is ``w >= 0``.
 
 All functions broadcast over leading axes. Angles in radians unless a suffix says otherwise.
 """
