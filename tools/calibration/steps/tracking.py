@@ -87,7 +87,7 @@ def run_plan(
     parameters: TrackingParameters,
     interval_s: float,
     exposure_s: float,
-    velocity: npt.NDArray[np.float64],
+    velocity_over_c: npt.NDArray[np.float64],
 ) -> tuple[TrackingPlan, Call]:
     """``st_plan_windows`` for the arguments of ``tracking.plan_windows``."""
     stars, most = len(catalogue), parameters.max_windows
@@ -123,7 +123,7 @@ def run_plan(
         place_parameters(machine, parameters, geometry),
         float(interval_s),
         float(exposure_s),
-        machine.place(velocity),
+        machine.place(velocity_over_c),
         plan,
         room,
     )
