@@ -16,7 +16,7 @@ from .frame_result import FirmwareState, FrameContext, FrameResult, IdentifiedSt
 from .frame_search import ARCSEC_PER_RAD, FrameLog, SearchOutcome, directions, solve, velocity_over_c
 from .frame_trace import Trace
 from .identification.interface import Spikes
-from .identification.verification import COUNT_NAMES, false_solutions_kernel, spread_kernel
+from .identification.judgement import COUNT_NAMES, false_solutions_kernel, spread_kernel
 from .image.detection import DetectionParameters, detect
 from .image.frame import Frame
 from .image.spots import Spots, WindowStatus

@@ -1,6 +1,6 @@
 /* Attitude from vector pairs: the kernels of firmware_model/attitude.py (Davenport's q-method by cyclic
  * Jacobi, residuals, covariance), the expected error of centroids of firmware_model/configuration.py and the
- * chance of a false solution of firmware_model/identification/verification.py.
+ * chance of a false solution of firmware_model/identification/judgement.py.
  *
  * All is software double precision: the eigenvalues of a narrow field differ by the square of its radius,
  * about 1e-4 of the largest, and an attitude to 1e-9 rad needs their gap to 1e-13. There are few stars, so

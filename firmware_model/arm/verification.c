@@ -1,5 +1,5 @@
 /* Is a trial attitude the right one? All spikes against the catalogue, and what the field should show:
- * firmware_model/identification/verification.py (match_spots_kernel, refine_kernel, expected_kernel,
+ * firmware_model/identification/judgement.py (match_spots_kernel, refine_kernel, expected_kernel,
  * odd_brightness_kernel, verify_kernel).
  *
  * Software double precision throughout, in the order of the Python stage's operations, so that the same stars

@@ -11,7 +11,7 @@ star's magnitude.
 What is different here, and why:
 - The ranges are read shortest first, and the last of a group only if the others leave nothing: a candidate
   of two ranges is confirmed by the angle between the two partners, and the final judgement
-  (verification.py) then asks for the third partner, and every other spike, at its very place. That is
+  (judgement.py) then asks for the third partner, and every other spike, at its very place. That is
   stricter than the intersection with the third range, and cheaper.
 - Ranges of an earlier group stay marked. A later partner meets all of them, so that two true partners of one
   pivot suffice wherever they are in the order, and each range is read but once or twice.
@@ -49,20 +49,7 @@ from .interface import (
     no_identification,
     usable_spikes,
 )
-from .solutions import (
-    CONFIRMED,
-    LIMIT,
-    MATCHED,
-    NOTHING,
-    Limits,
-    Solutions,
-    best_identification,
-    judge_kernel,
-    limits_of,
-    no_solutions,
-    volume_kernel,
-)
-from .verification import (
+from .judgement import (
     ANGLES_COMPUTED,
     CANDIDATES_MARKED,
     KVECTOR_HITS,
@@ -79,6 +66,19 @@ from .verification import (
     scattered_kernel,
     spread_kernel,
     work_of,
+)
+from .solutions import (
+    CONFIRMED,
+    LIMIT,
+    MATCHED,
+    NOTHING,
+    Limits,
+    Solutions,
+    best_identification,
+    judge_kernel,
+    limits_of,
+    no_solutions,
+    volume_kernel,
 )
 
 _GROUP = 3  # partners of a pivot that are tried together

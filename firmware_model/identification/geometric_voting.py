@@ -9,7 +9,7 @@ angle fits; identities that support each other are a cluster, and the largest cl
 ASSUMED: the papers say neither what happens on a tie nor what the "simple clustering" is. Here all stars that
 tie for a spot are its identities; a cluster grows from the identity with the most second votes by those that
 fit all its members, in the order of their votes; where no cluster of the first in the vote stands, the
-runners-up come in too. Every cluster must explain the image (verification.py), and no second attitude may
+runners-up come in too. Every cluster must explain the image (judgement.py), and no second attitude may
 explain it too.
 """
 
@@ -35,7 +35,7 @@ from .interface import (
     no_identification,
     usable_spikes,
 )
-from .verification import (
+from .judgement import (
     ANGLES_COMPUTED,
     CATALOGUE_ANGLES,
     KVECTOR_HITS,

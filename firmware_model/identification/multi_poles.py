@@ -4,7 +4,7 @@ Schiattarella, Spiller & Curti 2020, "Star identification robust to angular rate
 rolling shutter compensation", section 5; the numbers of equations are theirs.
 Acceptance phase: the angles from a pole to all other spikes are looked up in the pair catalogue; pairs that
 agree in brightness too vote for the star that the pole may be. Check phase: what two poles say of the same
-spikes. What is recognised must then explain the image (verification.py), and no second attitude may explain
+spikes. What is recognised must then explain the image (judgement.py), and no second attitude may explain
 it too.
 """
 
@@ -30,7 +30,7 @@ from .interface import (
     no_identification,
     usable_spikes,
 )
-from .verification import (
+from .judgement import (
     ANGLES_COMPUTED,
     CANDIDATES_MARKED,
     KVECTOR_HITS,

@@ -5,7 +5,7 @@ Mortari, Samaan, Bruccoleri & Junkins 2004, "The pyramid star identification tec
 their sides, a triangle with the handedness of the spots, a fourth star whose three angles fit too. Where
 Mortari wants the triangle to be the only one, every triangle that fits is given to the fourth star here:
 with a wide tolerance (a lens whose distortion is not known) several always fit, and the fourth decides.
-Every confirmed pyramid must then explain the rest of the image (verification.py), and no second attitude
+Every confirmed pyramid must then explain the rest of the image (judgement.py), and no second attitude
 may explain it too (solutions.py). Images of three or four spots only have no fourth to spare: there every
 triangle is judged, and one alone is UNCONFIRMED.
 """
@@ -32,22 +32,7 @@ from .interface import (
     no_identification,
     usable_spikes,
 )
-from .solutions import (
-    CONFIRMED,
-    LIMIT,
-    MATCHED,
-    MOST_TRIANGLE_SPOTS,
-    NOTHING,
-    TRIANGLE,
-    Limits,
-    Solutions,
-    best_identification,
-    judge_kernel,
-    limits_of,
-    no_solutions,
-    volume_kernel,
-)
-from .verification import (
+from .judgement import (
     ANGLES_COMPUTED,
     CANDIDATES_MARKED,
     CATALOGUE_ANGLES,
@@ -70,6 +55,21 @@ from .verification import (
     scattered_kernel,
     spread_kernel,
     work_of,
+)
+from .solutions import (
+    CONFIRMED,
+    LIMIT,
+    MATCHED,
+    MOST_TRIANGLE_SPOTS,
+    NOTHING,
+    TRIANGLE,
+    Limits,
+    Solutions,
+    best_identification,
+    judge_kernel,
+    limits_of,
+    no_solutions,
+    volume_kernel,
 )
 
 _FEWEST = 3

@@ -1,7 +1,7 @@
 """Solutions found so far, and what a further one means: better, the same, or a rival.
 
 For searches that go on after a first solution: `judge_kernel` gives a trial to the final judgement
-(verification.py) and keeps it if it is the best. Two are kept, of different worth: a confirmed one, and of
+(judgement.py) and keeps it if it is the best. Two are kept, of different worth: a confirmed one, and of
 images of 3 or 4 spikes a triangle alone (UNCONFIRMED).
 """
 
@@ -17,13 +17,7 @@ from ..catalogue.pairs import PairCatalogue
 from ..catalogue.tables import StarArrays
 from ..reasons import Reason
 from .interface import FloatArray, Identification, IdentificationParameters, IntArray, no_identification
-from .verification import (
-    CountArray,
-    false_solutions_kernel,
-    refine_kernel,
-    separation_kernel,
-    verify_kernel,
-)
+from .judgement import CountArray, false_solutions_kernel, refine_kernel, separation_kernel, verify_kernel
 
 NOTHING, CERTAIN, RIVAL, LIMIT = range(4)  # how a search ends, or that it goes on
 CONFIRMED, TRIANGLE = range(2)  # places of the two solutions

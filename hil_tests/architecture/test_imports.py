@@ -6,7 +6,7 @@ import ast
 
 from hil_tests.architecture.source_tree import Source, is_in, sources, under
 
-CAN_LINKS = {f"st_emulator/links/can_{part}.py" for part in ("bus", "records", "slcan", "socket")}
+CAN_LINKS = {f"st_emulator/links/can/{part}.py" for part in ("bus", "records", "slcan", "socketcan")}
 
 
 def offences(found: list[Source], forbidden: tuple[str, ...]) -> list[str]:
@@ -42,7 +42,7 @@ def test_ports_are_opened_in_links_alone():
     assert users("can") == CAN_LINKS
     terminals = {"st_emulator/links/pty.py", "st_emulator/links/serial_port.py"}
     assert users("pty", "tty", "termios") == terminals
-    locks = {"st_emulator/commands/running.py", "st_emulator/links/can_slcan.py"}  # a file, an adapter
+    locks = {"st_emulator/commands/running.py", "st_emulator/links/can/slcan.py"}  # a file, an adapter
     assert users("fcntl") == terminals | locks
     assert users("socket", "select") <= {
         "st_emulator/links/serial_port.py",

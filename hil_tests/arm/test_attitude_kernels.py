@@ -24,7 +24,7 @@ from st_emulator.firmware_model.attitude import (
 )
 from st_emulator.firmware_model.configuration import CentroidError, TrackingParameters
 from st_emulator.firmware_model.frame_trace import StepRecord
-from st_emulator.firmware_model.identification.verification import false_solutions_kernel, spread_kernel
+from st_emulator.firmware_model.identification.judgement import false_solutions_kernel, spread_kernel
 from st_emulator.firmware_model.work import Work
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import attitude_parts

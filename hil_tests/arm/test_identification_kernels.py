@@ -16,7 +16,8 @@ from hil_tests.firmware_model.synthetic_sky import ARCSEC, matrix, random_attitu
 from st_emulator.firmware_model.catalogue.kvector import build_kvector, range_kernel
 from st_emulator.firmware_model.catalogue.pairs import PairCatalogue
 from st_emulator.firmware_model.catalogue.tables import star_arrays
-from st_emulator.firmware_model.identification import solutions, verification
+from st_emulator.firmware_model.identification import judgement as verification
+from st_emulator.firmware_model.identification import solutions
 from st_emulator.firmware_model.identification.interface import Spikes
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import identification as binding

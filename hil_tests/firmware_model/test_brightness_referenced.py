@@ -33,7 +33,7 @@ from st_emulator.firmware_model.identification.interface import (
     IdentificationParameters,
     Spikes,
 )
-from st_emulator.firmware_model.identification.verification import COUNT_NAMES, OPERATIONS
+from st_emulator.firmware_model.identification.judgement import COUNT_NAMES, OPERATIONS
 from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import Work
 

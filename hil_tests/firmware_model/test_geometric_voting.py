@@ -37,7 +37,7 @@ from st_emulator.firmware_model.identification.geometric_voting import (
     runners_up_kernel,
 )
 from st_emulator.firmware_model.identification.interface import IdentificationParameters, Spikes
-from st_emulator.firmware_model.identification.verification import COUNT_NAMES
+from st_emulator.firmware_model.identification.judgement import COUNT_NAMES
 from st_emulator.firmware_model.reasons import Reason
 
 WIDE = CameraGeometry(1024, 1024, 43.3 / 0.015)  # as paper Z: 20 x 20 deg, 71.4 arcsec a pixel

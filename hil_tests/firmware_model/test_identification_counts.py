@@ -13,7 +13,7 @@ from st_emulator.firmware_model.geometry import CameraGeometry
 from st_emulator.firmware_model.identification import brightness_referenced, geometric_voting, multi_poles
 from st_emulator.firmware_model.identification.algorithms import ALGORITHMS
 from st_emulator.firmware_model.identification.interface import IdentificationParameters, Spikes
-from st_emulator.firmware_model.identification.verification import MARKS_AT_HAND, scattered_kernel
+from st_emulator.firmware_model.identification.judgement import MARKS_AT_HAND, scattered_kernel
 from st_emulator.firmware_model.work import COUNTS, Work
 
 CAMERA = CameraGeometry(1024, 1024, 43.3 / 0.015)

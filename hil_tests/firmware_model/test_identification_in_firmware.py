@@ -37,7 +37,7 @@ from st_emulator.firmware_model.identification.interface import (
     for_all_spikes,
     usable_spikes,
 )
-from st_emulator.firmware_model.identification.verification import COUNT_NAMES, OPERATIONS, work_of
+from st_emulator.firmware_model.identification.judgement import COUNT_NAMES, OPERATIONS, work_of
 from st_emulator.firmware_model.modes import Mode
 from st_emulator.firmware_model.processor import CycleBudget, ProcessorProfile
 from st_emulator.firmware_model.reasons import Reason

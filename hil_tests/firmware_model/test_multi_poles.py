@@ -40,13 +40,13 @@ from st_emulator.firmware_model.identification.interface import (
     MultiPolesParameters,
     Spikes,
 )
+from st_emulator.firmware_model.identification.judgement import COUNT_NAMES
 from st_emulator.firmware_model.identification.multi_poles import (
     acceptance_kernel,
     feasible_kernel,
     identify,
     recognised_kernel,
 )
-from st_emulator.firmware_model.identification.verification import COUNT_NAMES
 from st_emulator.firmware_model.image.detection import DetectionParameters, detect
 from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import Work

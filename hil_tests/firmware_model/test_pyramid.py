@@ -29,8 +29,8 @@ from st_emulator.firmware_model.identification.interface import (
     IdentificationParameters,
     Spikes,
 )
+from st_emulator.firmware_model.identification.judgement import false_solutions_kernel
 from st_emulator.firmware_model.identification.pyramid import identify
-from st_emulator.firmware_model.identification.verification import false_solutions_kernel
 from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import Work
 

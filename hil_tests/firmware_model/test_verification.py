@@ -12,7 +12,7 @@ from hil_tests.firmware_model.reference_pyramid import angles, match
 from hil_tests.firmware_model.synthetic_sky import ARCSEC, matrix, random_attitude, random_directions
 from st_emulator.firmware_model.catalogue.pairs import PairCatalogue, build_pair_catalogue
 from st_emulator.firmware_model.catalogue.star_catalogue import StarCatalogue, build_star_catalogue
-from st_emulator.firmware_model.identification.verification import (
+from st_emulator.firmware_model.identification.judgement import (
     CATALOGUE_ANGLES,
     COUNT_NAMES,
     match_spots_kernel,

@@ -30,8 +30,9 @@ from hil_tests.links.can_far_ends import (
     VirtualEnd,
     taken_apart,
 )
-from st_emulator.links import LinkError, can_socket, open_link
-from st_emulator.links.can_bus import VIRTUAL_QUEUE_FRAMES, CanLink
+from st_emulator.links import LinkError, open_link
+from st_emulator.links.can import socketcan
+from st_emulator.links.can.bus import VIRTUAL_QUEUE_FRAMES, CanLink
 from st_emulator.links.network_interface import network_interface
 
 BIT_RATE_SWITCH = 1
@@ -172,7 +173,7 @@ def test_a_burst_that_nobody_reads_meanwhile_is_not_lost() -> None:
 
 @pytest.mark.vcan
 def test_what_did_not_fit_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(can_socket, "RECEIVE_BUFFER_BYTES", 20_000)
+    monkeypatch.setattr(socketcan, "RECEIVE_BUFFER_BYTES", 20_000)
     with CanLink("socketcan", "vcan0", 1_000_000) as link:
         far = SocketEnd()
         far.write(PLAIN * 1000)
@@ -317,7 +318,7 @@ def test_a_kernel_that_gives_no_socket(monkeypatch: pytest.MonkeyPatch, number: 
     def refuse(*arguments: object) -> socket.socket:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(can_socket.socket, "socket", refuse)
+    monkeypatch.setattr(socketcan.socket, "socket", refuse)
     with pytest.raises(LinkError) as error:
         open_link("can:socketcan/vcan0")
     assert str(error.value).startswith(f"can:socketcan/vcan0@1000000: {message}")

@@ -14,7 +14,7 @@ import pytest
 
 from hil_tests.links.can_far_ends import EXTENDED, REMOTE, LawicelEnd, Record, SocketEnd, VirtualEnd
 from st_emulator.links import Link, LinkError, memory_link_pair
-from st_emulator.links.can_bus import CanLink
+from st_emulator.links.can.bus import CanLink
 from st_emulator.links.pty import PtyLink
 from st_emulator.links.serial_port import SerialLink
 

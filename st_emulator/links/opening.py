@@ -20,7 +20,7 @@ def open_link(
     baud: line rate where the specification names none; bitrate: nominal bit rate of a CAN bus likewise, in
     bit/s. default_name: name of the pseudo-terminal's link in the runtime folder when the specification has
     no path (the unit's name); an OBC that finds no such name takes the only one that is live. A CAN bus is
-    the same to both and gives a `can_bus.CanLink`. Raises LinkError.
+    the same to both and gives a `can.bus.CanLink`. Raises LinkError.
     """
     if isinstance(specification, str):
         specification = parse_link(specification)
@@ -28,11 +28,11 @@ def open_link(
         return NullLink()
     # The port libraries are loaded only when a port is asked for.
     if specification.kind == "can":
-        from . import can_bus
+        from .can import bus
 
         assert specification.interface is not None  # parse_link gives no CAN bus without both
         assert specification.path is not None
-        return can_bus.CanLink(
+        return bus.CanLink(
             specification.interface, specification.path, specification.bitrate or bitrate, specification.fd
         )
     from . import pty, serial_port

@@ -21,15 +21,7 @@ from ...wire.slip_port import SlipPort
 from ..dialect import CanWire, SerialWire
 from .cyclic import CyclicFrames
 from .reception import Check, Receiver
-from .services import (
-    connection_test,
-    events,
-    functions,
-    housekeeping,
-    memory,
-    parameters,
-    time_management,
-)
+from .services import connection_test, events, functions, housekeeping, memory, parameters, time_management
 from .services.attitude import attitude_fields
 from .services.large_data import LargeData
 from .serving import Served

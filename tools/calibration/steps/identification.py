@@ -25,7 +25,7 @@ from st_emulator.firmware_model.identification.interface import (
     IdentificationParameters,
     Spikes,
 )
-from st_emulator.firmware_model.identification.verification import separation_kernel
+from st_emulator.firmware_model.identification.judgement import separation_kernel
 from st_emulator.firmware_model.reasons import Reason
 from tools.arm_timing.machine import ArmMachine, Cost
 from tools.calibration.steps.step import MismatchError, StageRun

@@ -12,12 +12,12 @@ from typing import Protocol
 from can import CanOperationError
 from can.interfaces.virtual import VirtualBus
 
-from ..protocol.errors import LocalProtocolError
-from .can_records import MOST_FRAMES_A_READ, frame_to_send, message_of, record_of, records
-from .can_slcan import OPENING_S, SlcanPort
-from .can_socket import SocketPort
-from .link import ClosesOnExit, LinkError
-from .specification import LinkSpecification
+from ...protocol.errors import LocalProtocolError
+from ..link import ClosesOnExit, LinkError
+from ..specification import LinkSpecification
+from .records import MOST_FRAMES_A_READ, frame_to_send, message_of, record_of, records
+from .slcan import OPENING_S, SlcanPort
+from .socketcan import SocketPort
 
 VIRTUAL_QUEUE_FRAMES = 65_536
 

@@ -9,10 +9,10 @@ import struct
 from can import CanError
 from can.interfaces.socketcan import SocketcanBus
 
-from ..protocol.can.frames import FD_FLAG, RECORD_HEADER_BYTES, REMOTE_FLAG
-from .can_records import MOST_FRAMES_A_READ, RECORD_HEADER, frame_to_send, one_line
-from .link import LinkError
-from .network_interface import NetworkInterface, network_interface
+from ...protocol.can.frames import FD_FLAG, RECORD_HEADER_BYTES, REMOTE_FLAG
+from ..link import LinkError
+from ..network_interface import NetworkInterface, network_interface
+from .records import MOST_FRAMES_A_READ, RECORD_HEADER, frame_to_send, one_line
 
 VIRTUAL_KINDS = ("vcan", "vxcan")  # no bus that takes time behind these drivers
 CLASSIC_FRAME = struct.Struct("=IBBBB8s")  # struct can_frame of linux/can.h

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import can
 
-from ..protocol.can.frames import (
+from ...protocol.can.frames import (
     ERROR_FRAME_BYTES,
     MAX_EXTENDED_IDENTIFIER,
     RECORD_HEADER_BYTES,

@@ -12,9 +12,9 @@ import threading
 import can
 from can.interfaces.slcan import slcanBus
 
-from ..protocol.errors import LocalProtocolError
-from .can_records import frame_to_send, message_of, one_line, record_of
-from .link import LinkError
+from ...protocol.errors import LocalProtocolError
+from ..link import LinkError
+from .records import frame_to_send, message_of, one_line, record_of
 
 BITRATES = (10_000, 20_000, 50_000, 83_300, 100_000, 125_000, 250_000, 500_000, 750_000, 1_000_000)
 OPENING_S = 2.0  # python-can's own: adapters that reset when their port is opened need it

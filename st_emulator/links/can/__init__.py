@@ -1,0 +1,1 @@
+"""Ends of a CAN bus: SocketCAN, slcan adapters, a bus in memory."""
