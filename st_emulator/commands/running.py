@@ -20,6 +20,7 @@ from ..bench.scenario_inputs import check_inputs
 from ..clock import NS_PER_S
 from ..device.imaging import Lazy
 from ..device.store import FileStore, Store, VolatileStore
+from ..dialects.registry import check_wire
 from ..drivers.realtime import FrameWorker, StopSignal, run_paced, run_unpaced
 from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
@@ -163,6 +164,7 @@ def run_unit(options: RunOptions) -> None:
     if options.node is not None and specification.kind != "can":
         raise ConfigurationError(f"--node {options.node}: only with --link can:...; {link_text} has no nodes")
     profile = load_unit(options.unit)
+    check_wire(profile, can=specification.kind == "can")
     scenario = scenario_of(options, live)
     check_inputs(profile, scenario)
     duration_s = options.seconds if options.seconds is not None else scenario.duration_s
