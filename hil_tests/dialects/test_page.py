@@ -1,4 +1,4 @@
-"""docs/adding_a_dialect.md: what it shows of the template stands there, what it runs runs, its errors come."""
+"""docs/adding_a_dialect.md: its excerpts are the template's, its commands run, its errors come."""
 
 from __future__ import annotations
 

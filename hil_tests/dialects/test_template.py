@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from hil_tests.architecture.source_tree import ROOT, Source, module_of
+from hil_tests.dialects.demo_session import Session
 from st_emulator.bench.emulator import Emulator
 from st_emulator.bench.journal import read_journal
 from st_emulator.bench.scenario import Scenario, ScenarioTelecommand, load_scenario
@@ -282,43 +283,9 @@ def test_telecommands_of_a_scenario_that_are_wrong(name, fields, says):
         Unit(scenario=scenario)
 
 
-@dataclass
-class Session:
-    """A demo without a screen."""
-
-    unit: Unit
-    said: list[str] = field(default_factory=list)
-    checks: list[tuple[str, bool]] = field(default_factory=list)
-
-    @property
-    def profile(self) -> UnitProfile:
-        return self.unit.profile
-
-    @property
-    def now_ns(self) -> int:
-        return self.unit.emulator.now_ns
-
-    def put(self, data: bytes) -> None:
-        self.unit.emulator.receive(data)
-
-    def run(self, ms: float) -> list[tuple[int, bytes]]:
-        return [(self.now_ns, self.unit.run(ms))]
-
-    def true_quaternion(self, t_ns: int) -> tuple[float, float, float, float]:
-        x, y, z, w = self.unit.emulator.scene.trajectory.q_icrs_to_sensor(t_ns)
-        return (float(x), float(y), float(z), float(w))
-
-    def say(self, text: str) -> None:
-        self.said.append(text)
-
-    def check(self, name: str, value: float, relation: str, target: float, unit: str) -> None:
-        holds = {"==": value == target, "<=": value <= target, ">=": value >= target}[relation]
-        self.checks.append((name, holds))
-
-
 def test_the_exchange_of_the_demo():
     exchange = dialect_of(UNIT).exchange
-    session = Session(Unit())
+    session = Session(UNIT)
     exchange(session)
     assert all(holds for _, holds in session.checks), session.checks
     assert {"started", "completed", "attitude error"} <= {name for name, _ in session.checks}
