@@ -12,36 +12,27 @@ from pathlib import Path
 import pytest
 
 from hil_tests.architecture.source_tree import ROOT
+from hil_tests.dialects.command_line import modules_apart, run_in
 from st_emulator.dialects.registry import SHIPPED, dialect_named, settings_of
 from st_emulator.errors import ConfigurationError
 from st_emulator.units.profile import load_unit
 
 TEMPLATE = ROOT / "examples/my_dialect"
 CHOSEN = 'dialect = "my_dialect.definition:DIALECT"'
-MODULE = "from my_dialect.definition import DIALECT\n"
 
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """The template as a user copies it, under a name that no other test has loaded."""
+    """The template as a user copies it."""
     return Path(shutil.copytree(TEMPLATE, tmp_path / "project", ignore=shutil.ignore_patterns("__pycache__")))
 
 
-def refused(project: Path, *says: str, link: str = "none", **environment: str) -> str:
-    """`st-emulator run ./my_unit.toml` in a process of its own, in the project; its only line."""
-    command = [sys.executable, "-m", "st_emulator", "run", "./my_unit.toml", "--link", link, "--speed"]
-    ended = subprocess.run(
-        [*command, "1" if link != "none" else "max", "--seconds", "1"],
-        cwd=project,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=False,
-    )
-    assert (ended.returncode, ended.stdout) == (2, ""), ended.stderr
-    (line,) = ended.stderr.splitlines()
-    for text in ("st-emulator: my_unit.toml: ", *says):
+def refused(project: Path, *says: str, link: str = "none", more: tuple[str, ...] = ()) -> str:
+    """`st-emulator run ./my_unit.toml` in the project: its only line."""
+    ended = run_in(project, "run", "./my_unit.toml", "--link", link, *more)
+    assert (ended.status, ended.out) == (2, ""), ended.err
+    (line,) = ended.err.splitlines()
+    for text in says:
         assert text in line, f"{text!r} is not in {line!r}"
     return line
 
@@ -81,7 +72,7 @@ def test_name(name, project):
     (project / "my_unit.toml").write_text(
         (project / "my_unit.toml").read_text().replace(CHOSEN, f'dialect = "{dialect}"')
     )
-    refused(project, "wire.dialect: ", *says)
+    refused(project, "st-emulator: my_unit.toml: wire.dialect: ", *says)
 
 
 MODULES = {
@@ -89,13 +80,16 @@ MODULES = {
     "name": ("x = 1\ny = z\n", ("own.py, line 2: NameError: name 'z' is not defined",)),
     "exit": ("raise SystemExit(0)\n", ("own.py, line 1: SystemExit",)),
     "in a library": ("import json\njson.loads('{')\n", ("own.py, line 2: JSONDecodeError",)),
-    "no such library": ("import no_such_library\n", ("own.py, line 1: ModuleNotFoundError", "with a dot")),
+    "no such library": (
+        "import no_such_library\n",
+        ("own.py, line 1: ModuleNotFoundError", "from .messages import", "PYTHONPATH"),
+    ),
     "an argument is missing": (
         "from st_emulator.dialects.dialect import DialectDefinition\nX = DialectDefinition(name='x')\n",
         ("own.py, line 2: TypeError", "missing", "title"),
     ),
     "the name of a shipped one": (
-        "import dataclasses\n" + MODULE + "X = dataclasses.replace(DIALECT, name='pus')\n",
+        "from st_emulator.dialects.pus.definition import PUS as X\n",
         ("calls itself 'pus'", "any other name"),
     ),
 }
@@ -106,17 +100,12 @@ def test_module(name, project):
     text, says = MODULES[name]
     (project / "own.py").write_text(text)
     change(project / "my_unit.toml", CHOSEN, 'dialect = "own:X"')
-    line = refused(project, "wire.dialect: ", *says, PYTHONPATH=f"{ROOT}:{project}")
-    assert "own" in line
+    refused(project, "st-emulator: my_unit.toml: wire.dialect: ", "own", *says)
 
 
 def test_a_package_without_init(project):
     (project / "my_dialect/__init__.py").unlink()
-    (project / "elsewhere").mkdir()
-    for file in ("my_unit.toml", "my_dialect"):
-        shutil.move(project / file, project / "elsewhere" / file)
-    with pytest.raises(ConfigurationError, match=r"^there is no module my_dialect: .*has no __init__\.py"):
-        dialect_named("my_dialect.definition:DIALECT", project / "elsewhere")
+    refused(project, "wire.dialect: there is no module my_dialect: ", "project/my_dialect has no __init__.py")
 
 
 SETTINGS = {
@@ -144,7 +133,9 @@ def test_settings_of_a_dialect_that_nobody_speaks(project):
     change(project / "my_unit.toml", "attitude_every = 1", "")
     unit = load_unit(str(project / "my_unit.toml"))
     shipped = unit.model_copy(update={"wire": unit.wire.model_copy(update={"dialect": "pus"})})
-    assert settings_of(shipped)  # settings of a dialect that is not spoken now may stay
+    with modules_apart():
+        assert settings_of(unit)  # its own table is there: another one belongs to another dialect
+        assert settings_of(shipped) is not None  # settings of a dialect that is not spoken now may stay
 
 
 def test_a_serial_dialect_on_a_bus(project):
@@ -156,20 +147,44 @@ def test_a_serial_dialect_on_a_bus(project):
     )
 
 
+def test_a_bus_dialect_on_a_serial_line(project):
+    (project / "own.py").write_text(
+        "import dataclasses\nfrom st_emulator.dialects.pus.definition import PUS\n"
+        "X = dataclasses.replace(PUS, name='bus', on_serial=None)\n"
+    )
+    change(project / "my_unit.toml", CHOSEN, 'dialect = "own:X"')
+    refused(
+        project,
+        "st-emulator: my_unit.toml: wire.dialect: bus has no serial line",
+        "allowed is a link that is a CAN bus (can:INTERFACE/CHANNEL)",
+    )
+
+
 def test_a_scenario_of_other_telecommands(project):
     change(project / "my_scenario.toml", 'name = "find_attitude"', 'name = "acquire"')
-    command = [sys.executable, "-m", "st_emulator", "run", "my_unit.toml", "--scenario", "my_scenario.toml"]
+    refused(
+        project,
+        "st-emulator: my_scenario.toml: telecommands.0: telecommand: name = 'acquire'; allowed: get_status, ",
+        more=("--scenario", "my_scenario.toml"),
+    )
+
+
+def test_in_a_process_of_its_own(project):
+    """As a user has it, from another folder."""
+    change(project / "my_unit.toml", "address = 7", "address = 0")
     ended = subprocess.run(
-        [*command, "--speed", "max"],
-        cwd=project,
+        [sys.executable, "-m", "st_emulator", "run", str(project / "my_unit.toml")],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         timeout=100,
         check=False,
     )
-    assert ended.returncode == 2
-    assert "my_scenario.toml: telecommands.0: telecommand: name = 'acquire'; allowed: get_s" in ended.stderr
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr == (
+        f"st-emulator: {project}/my_unit.toml: dialects.my_dialect: address: found 0; allowed is a whole "
+        "number from 1 to 254\n"
+    )
 
 
 def own(folder: Path, name: str, title: str) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from hil_tests.architecture.source_tree import ROOT
+from hil_tests.dialects.command_line import modules_apart, run_in
 from st_emulator.dialects.registry import dialect_names
 
 PAGE = ROOT / "docs/adding_a_dialect.md"
@@ -69,6 +71,7 @@ def test_links_lead_somewhere():
     assert [link for link in links if not (PAGE.parent / link).exists()] == []
 
 
+@pytest.mark.slow
 def test_the_commands(tmp_path):
     (text,) = [text for mark, kind, text in BLOCKS if (mark, kind) == ("run", "sh")]
     ended = run(["sh", "-euc", text], tmp_path, tmp_path)
@@ -85,8 +88,8 @@ def test_the_commands(tmp_path):
 )
 def test_python(text, tmp_path):
     project = Path(shutil.copytree(TEMPLATE, tmp_path / "my_project", ignore=COPY))
-    ended = run(["python", "-c", text], tmp_path, project)
-    assert ended.returncode == 0, ended.stderr
+    with modules_apart(), contextlib.chdir(project):
+        exec(compile(text, str(PAGE), "exec"), {})
 
 
 CHANGES = (
@@ -110,6 +113,6 @@ def test_error(line, change, tmp_path):
     old, new, link = change
     unit = project / "my_unit.toml"
     unit.write_text(unit.read_text().replace(old, new))
-    ended = run(["st-emulator", "run", "./my_unit.toml", "--link", link], tmp_path, project)
+    ended = run_in(project, "run", "./my_unit.toml", "--link", link)
     wanted = line.replace("FOLDER", str(project)).replace("SHIPPED", ", ".join(dialect_names()))
-    assert (ended.returncode, ended.stdout, ended.stderr) == (2, "", wanted + "\n")
+    assert (ended.status, ended.out, ended.err) == (2, "", wanted + "\n")

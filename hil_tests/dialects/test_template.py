@@ -292,14 +292,15 @@ def test_the_exchange_of_the_demo():
     assert any("arcsec from the truth" in line for line in session.said)
 
 
-def test_mutated_traffic():
-    """Whatever comes, the unit goes on and answers the next good command."""
-    chance = random.Random(1)
+def mutate(count: int, seed: int) -> int:
+    """Feed so many octets of damaged traffic; the unit goes on and answers the next good command. Returns how
+    often that was looked at."""
+    chance = random.Random(seed)
     unit = Unit(settings(attitude_every=0))
     unit.run(410)
     good = [frame(STATUS), frame(STOP), frame(EVERY, b"\x00"), frame(0x44, b"\x01\x02"), frame(FIND, b"x")]
-    octets = 0
-    while octets < 20_000:
+    octets = looked = 0
+    while octets < count:
         traffic = bytearray(b"".join(chance.choices(good, k=chance.randint(1, 6))))
         for _ in range(chance.randint(0, 4)):
             place = chance.randrange(len(traffic))
@@ -307,8 +308,14 @@ def test_mutated_traffic():
         octets += len(traffic)
         unit.ask(bytes(traffic), ms=20)
         if chance.random() < 0.05:
+            looked += 1
             unit.run(30)
             assert unit.ask(frame(STATUS)).startswith(b"\xa5\x5a\x07\x83\x06\x02\x00\x01\x00")
+    return looked
+
+
+def test_mutated_traffic():
+    assert mutate(20_000, seed=1) > 20
 
 
 def test_the_template_uses_public_names_of_few_modules():

@@ -112,5 +112,5 @@ def _failed(name: str, error: BaseException) -> str:
         text = str(error)
     hint = ""
     if isinstance(error, ModuleNotFoundError):
-        hint = "; a module of the same package is imported with a dot: from .messages import ..."
+        hint = "; allowed are modules of its package (from .messages import ...) and of PYTHONPATH"
     return f"module {name} cannot be imported: {where}{type(error).__name__}: {text}{hint}"

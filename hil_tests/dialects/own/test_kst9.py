@@ -306,17 +306,17 @@ def test_the_exchange_of_the_demo():
     assert all(holds for _, holds in session.checks), session.said
 
 
-def test_mutated_traffic(obc):
-    """Whatever comes, the unit goes on and answers the next good command."""
-    chance = random.Random(1)
-    good = [
-        GOOD,
-        sentence("POL", "STA"),
-        sentence("EXP", "99.5"),
-        sentence("TIM", WEEK, 1),
-        sentence("PSH", 0),
-    ]
-    octets = 0
+def mutate(count: int, seed: int) -> int:
+    """Feed so many octets of damaged traffic; the unit goes on and answers the next good command. Returns how
+    often that was looked at."""
+    chance = random.Random(seed)
+    obc = Obc()
+    obc.run(BOOT_MS + 50)
+    for command in (("RUN",), ("PSH", 0), ("IDL",)):
+        obc.ask(*command, ms=100)
+    commands = [("VER",), ("POL", "STA"), ("EXP", "99.5"), ("TIM", WEEK, 1), ("PSH", 0)]
+    good = [sentence(*command) for command in commands]
+    octets = looked = 0
     for number in itertools.count():
         traffic = bytearray(b"".join(chance.choices(good, k=chance.randint(1, 6))))
         for _ in range(chance.randint(0, 4)):
@@ -325,7 +325,13 @@ def test_mutated_traffic(obc):
         octets += len(traffic)
         obc.put(bytes(traffic), 50)
         if number % 20 == 0:
+            looked += 1
             obc.put(b"\n", 100)
             assert obc.put(GOOD) == [SAYS]
-            if octets > 20_000:
-                return
+            if octets > count:
+                return looked
+    raise AssertionError
+
+
+def test_mutated_traffic():
+    assert mutate(20_000, seed=1) > 10
