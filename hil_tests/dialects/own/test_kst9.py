@@ -320,7 +320,7 @@ def mutate(count: int, seed: int) -> int:
     for number in itertools.count():
         traffic = bytearray(b"".join(chance.choices(good, k=chance.randint(1, 6))))
         for _ in range(chance.randint(0, 4)):
-            place = chance.randrange(len(traffic))
+            place = chance.randrange(len(traffic) + 1)
             traffic[place : place + chance.randint(0, 3)] = chance.randbytes(chance.randint(0, 3))
         octets += len(traffic)
         obc.put(bytes(traffic), 50)
