@@ -54,7 +54,7 @@ def apparent_directions(unit_vectors: FloatArray, velocity_km_s: FloatArray) -> 
     return apparent
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def apparent_kernel(
     unit_vectors: FloatArray, rows: npt.NDArray[np.int32], beta: FloatArray, apparent: FloatArray
 ) -> None:

@@ -130,7 +130,7 @@ def robust_q_method(
     return solution, indices, work
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _robust_kernel(
     measured: FloatArray,
     reference: FloatArray,
@@ -202,7 +202,7 @@ def _robust_kernel(
     return True, left, chi_square
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def largest_eigenvector_kernel(k: FloatArray, vector: FloatArray) -> int:
     """Unit eigenvector of the largest eigenvalue of symmetric k[4, 4] (destroyed), by cyclic Jacobi.
 
@@ -262,7 +262,7 @@ def largest_eigenvector_kernel(k: FloatArray, vector: FloatArray) -> int:
     return rotations
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def matrix_kernel(q: FloatArray, a: FloatArray) -> None:
     """Write A(q) to a[3, 3]: v_S = A v_ICRS."""
     x, y, z, w = q[0], q[1], q[2], q[3]
@@ -277,7 +277,7 @@ def matrix_kernel(q: FloatArray, a: FloatArray) -> None:
     a[2, 2] = w * w - x * x - y * y + z * z
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def quaternion_kernel(b: FloatArray, r: FloatArray, weights: FloatArray, count: int, q: FloatArray) -> int:
     """The q-method alone: the first `count` pairs b[i], r[i] with their weights to the quaternion q[4].
 
@@ -301,7 +301,7 @@ def quaternion_kernel(b: FloatArray, r: FloatArray, weights: FloatArray, count: 
     return largest_eigenvector_kernel(k, q)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def residuals_kernel(b: FloatArray, r: FloatArray, count: int, q: FloatArray, residuals: FloatArray) -> None:
     """Angles between b[i] and A(q) r[i], rad. From the chord, which is exact for small angles."""
     a = np.empty((3, 3))
@@ -314,7 +314,7 @@ def residuals_kernel(b: FloatArray, r: FloatArray, count: int, q: FloatArray, re
         residuals[i] = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(square)))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def covariance_kernel(b: FloatArray, weights: FloatArray, count: int, covariance: FloatArray) -> bool:
     """Write [sum weights (I - b b^T)]^-1 to covariance[3, 3]; False and zeros where degenerate."""
     xx = yy = zz = xy = xz = yz = 0.0
@@ -348,7 +348,7 @@ def covariance_kernel(b: FloatArray, weights: FloatArray, count: int, covariance
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def solve_attitude_kernel(
     b: FloatArray,
     r: FloatArray,

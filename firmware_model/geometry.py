@@ -20,7 +20,7 @@ __all__ = ["CameraGeometry"]
 FloatArray = NDArray[np.float64]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _unit_vectors(x_px: FloatArray, y_px: FloatArray, camera: tuple[float, ...], vectors: FloatArray) -> int:
     """Write the unit vectors; returns the steps of Newton's method that all of them took."""
     steps = 0
@@ -59,7 +59,7 @@ def _unit_vectors(x_px: FloatArray, y_px: FloatArray, camera: tuple[float, ...],
     return steps
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _project(
     vectors: FloatArray,
     camera: tuple[float, ...],
@@ -88,7 +88,7 @@ def _project(
         ahead[i] = True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _in_field(vectors: FloatArray, normals: FloatArray, inside: NDArray[np.bool_]) -> None:
     for i in range(vectors.shape[0]):
         v0, v1, v2 = vectors[i, 0], vectors[i, 1], vectors[i, 2]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -181,7 +182,7 @@ def plan_windows(
     return TrackingPlan(neighbours[chosen], reference[chosen], x, y, window, rects[:windows], half), work
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _merge_windows_kernel(
     x: FloatArray, y: FloatArray, half: int, width: int, height: int, rects: IntArray, window: IntArray
 ) -> tuple[int, int]:
@@ -278,7 +279,40 @@ def verify_by_pivot(
     return Verification(spot, int(pivot), int(verified), int(stars_found)), work
 
 
-@numba.njit(cache=True, nogil=True)
+class _VerifyRoom(NamedTuple):
+    """Room for the verification: st_verify_room of the C twin, whose spots are in a table by window."""
+
+    trial: IntArray  # stars
+    distance: FloatArray  # stars
+    low: FloatArray  # stars: squares of chords that are within the tolerance of the pivot's and the star's
+    high: FloatArray  # stars; below zero: not computed for this pivot
+    chord: FloatArray  # spots: square of the chord to the pivot's spot; below zero: not computed
+    owner: IntArray  # spots
+
+
+class _Verification(NamedTuple):
+    """Everything that a trial of one pivot looks at; the fields of plan and spots as arrays."""
+
+    reference: FloatArray  # [stars, 3]
+    hp_mag: npt.NDArray[np.float32]
+    x_px: FloatArray
+    y_px: FloatArray
+    window: IntArray
+    cos_half_tolerance: float  # of half the largest error of the angle between the pivot and a star
+    sin_half_tolerance: float
+    magnitude_tolerance: float
+    b_vectors: FloatArray  # [spots, 3]
+    spot_x_px: FloatArray
+    spot_y_px: FloatArray
+    spot_magnitude: FloatArray
+    spot_window: IntArray
+    room: _VerifyRoom
+
+
+# The parts of the kernel are those of arm/tracking.c, under the same names.
+
+
+@numba.njit(nogil=True)
 def _chord_square(u: FloatArray, i: int, v: FloatArray, j: int) -> float:
     """Square of the chord between the unit vectors u[i] and v[j]: 4 sin^2 of half their angle."""
     dx = u[i, 0] - v[j, 0]
@@ -288,7 +322,90 @@ def _chord_square(u: FloatArray, i: int, v: FloatArray, j: int) -> float:
     return square
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
+def _chord_bounds(v: _Verification, pivot: int, star: int) -> tuple[float, float]:
+    """Squares of the chords between which an angle is within the tolerance of that of two catalogue stars.
+
+    An angle is within the tolerance t of the catalogue's angle a when its chord is between
+    2 sin(a/2 -+ t/2) = c cos(t/2) -+ sqrt(4 - c^2) sin(t/2), c being the catalogue's chord.
+    """
+    square = _chord_square(v.reference, pivot, v.reference, star)
+    middle = math.sqrt(square) * v.cos_half_tolerance
+    reach = math.sqrt(4.0 - square) * v.sin_half_tolerance
+    least = max(middle - reach, 0.0)
+    return least * least, (middle + reach) * (middle + reach)
+
+
+@numba.njit(nogil=True)
+def _forget(square: FloatArray) -> None:
+    """Forget the squares of chords: none is below zero."""
+    for i in range(len(square)):
+        square[i] = -1.0
+
+
+@numba.njit(nogil=True)
+def _try_pivot(v: _Verification, pivot: int, pivot_spot: int, counts: npt.NDArray[np.int64]) -> int:
+    """Spots of the other stars when pivot_spot is the spot of pivot, to room.trial; how many verify with it.
+
+    counts: as of ``_verify_kernel``, added to.
+    """
+    room = v.room
+    shift_x = v.spot_x_px[pivot_spot] - v.x_px[pivot]
+    shift_y = v.spot_y_px[pivot_spot] - v.y_px[pivot]
+    verified = 1
+    for star in range(len(room.trial)):
+        room.trial[star] = -1
+    for spot in range(len(room.owner)):
+        room.owner[spot] = -1
+    _forget(room.chord)
+    room.trial[pivot] = pivot_spot
+    room.owner[pivot_spot] = pivot
+    for star in range(len(room.trial)):
+        nearest = 1e300
+        best = -1
+        if star == pivot:
+            continue
+        for spot in range(len(room.owner)):
+            if v.spot_window[spot] != v.window[star] or spot == pivot_spot:
+                continue
+            if room.high[star] < 0.0:
+                room.low[star], room.high[star] = _chord_bounds(v, pivot, star)
+                counts[3] += 1
+            if room.chord[spot] < 0.0:
+                room.chord[spot] = _chord_square(v.b_vectors, pivot_spot, v.b_vectors, spot)
+                counts[0] += 1
+            counts[4] += 1
+            if not room.low[star] <= room.chord[spot] <= room.high[star]:
+                continue
+            difference = (v.spot_magnitude[spot] - v.spot_magnitude[pivot_spot]) - (
+                v.hp_mag[star] - v.hp_mag[pivot]
+            )
+            if not abs(difference) <= v.magnitude_tolerance:
+                continue
+            counts[2] += 1
+            dx = v.spot_x_px[spot] - v.x_px[star] - shift_x
+            dy = v.spot_y_px[spot] - v.y_px[star] - shift_y
+            distance = dx * dx + dy * dy
+            if distance < nearest:
+                nearest = distance
+                best = spot
+        if best < 0:
+            continue
+        room.trial[star] = best
+        room.distance[star] = nearest
+        rival = room.owner[best]
+        if rival < 0:
+            room.owner[best] = star
+            verified += 1
+        elif room.distance[rival] <= nearest:
+            room.trial[star] = -1  # one spot for two stars: the nearer keeps it
+        else:
+            room.trial[rival] = -1
+            room.owner[best] = star
+    return verified
+
+
+@numba.njit(nogil=True)
 def _verify_kernel(
     reference: FloatArray,
     hp_mag: npt.NDArray[np.float32],
@@ -308,21 +425,38 @@ def _verify_kernel(
 ) -> tuple[int, int, int]:
     """(pivot, stars verified, stars that could be); the spot of each star in chosen[n].
 
-    An angle is within the tolerance t of the catalogue's angle a when its chord is between
-    2 sin(a/2 -+ t/2) = c cos(t/2) -+ sqrt(4 - c^2) sin(t/2), c being the catalogue's chord.
+    counts[5], added to: angles verified, pivots tried, spots assigned, reference angles, angles compared.
     """
     stars = len(reference)
     spots = len(b)
-    trial = np.empty(stars, np.int32)
-    owner = np.empty(max(spots, 1), np.int32)
-    distance = np.empty(stars)
-    low = np.empty(stars)
-    high = np.empty(stars)  # below zero: not computed for this pivot
-    chord = np.empty(max(spots, 1))  # square; below zero: not computed for this spot of the pivot
-    for star in range(stars):
-        chosen[star] = -1
+    room = _VerifyRoom(
+        np.empty(stars, np.int32),
+        np.empty(stars),
+        np.empty(stars),
+        np.empty(stars),
+        np.empty(spots),
+        np.empty(spots, np.int32),
+    )
+    v = _Verification(
+        reference,
+        hp_mag,
+        x,
+        y,
+        window,
+        math.cos(0.5 * tolerance_rad),
+        math.sin(0.5 * tolerance_rad),
+        magnitude_tolerance,
+        b,
+        spot_x,
+        spot_y,
+        spot_mag,
+        spot_window,
+        room,
+    )
+    # Of the stars of one window as many could have a spot as it has spots.
     found = 0
     for star in range(stars):
+        chosen[star] = -1
         rank = 0
         for other in range(star):
             if window[other] == window[star]:
@@ -335,70 +469,16 @@ def _verify_kernel(
     if found < min_stars:
         return -1, 0, found
     enough = max(min_stars, (found + 1) // 2)
-    cosine = math.cos(0.5 * tolerance_rad)
-    sine = math.sin(0.5 * tolerance_rad)
     for pivot in range(stars):
-        for star in range(stars):
-            high[star] = -1.0
+        _forget(room.high)
         for pivot_spot in range(spots):
             if spot_window[pivot_spot] != window[pivot]:
                 continue
             counts[1] += 1
-            shift_x = spot_x[pivot_spot] - x[pivot]
-            shift_y = spot_y[pivot_spot] - y[pivot]
+            number = _try_pivot(v, pivot, pivot_spot, counts)
+            if number < enough:
+                continue
             for star in range(stars):
-                trial[star] = -1
-            for spot in range(spots):
-                owner[spot] = -1
-                chord[spot] = -1.0
-            trial[pivot] = pivot_spot
-            owner[pivot_spot] = pivot
-            verified = 1
-            for star in range(stars):
-                if star == pivot:
-                    continue
-                nearest = 1e300
-                for spot in range(spots):
-                    if spot_window[spot] != window[star] or spot == pivot_spot:
-                        continue
-                    if high[star] < 0.0:
-                        square = _chord_square(reference, pivot, reference, star)
-                        middle = math.sqrt(square) * cosine
-                        reach = math.sqrt(4.0 - square) * sine
-                        low[star] = max(middle - reach, 0.0) ** 2
-                        high[star] = (middle + reach) ** 2
-                        counts[3] += 1
-                    if chord[spot] < 0.0:
-                        chord[spot] = _chord_square(b, pivot_spot, b, spot)
-                        counts[0] += 1
-                    counts[4] += 1
-                    if not low[star] <= chord[spot] <= high[star]:
-                        continue
-                    difference = (spot_mag[spot] - spot_mag[pivot_spot]) - (hp_mag[star] - hp_mag[pivot])
-                    if not abs(difference) <= magnitude_tolerance:
-                        continue
-                    counts[2] += 1
-                    dx = spot_x[spot] - x[star] - shift_x
-                    dy = spot_y[spot] - y[star] - shift_y
-                    if dx * dx + dy * dy < nearest:
-                        nearest = dx * dx + dy * dy
-                        trial[star] = spot
-                spot = trial[star]
-                if spot < 0:
-                    continue
-                distance[star] = nearest
-                verified += 1
-                rival = owner[spot]
-                if rival >= 0:
-                    # One spot for two stars: the nearer keeps it.
-                    loser = star if distance[rival] <= nearest else rival
-                    trial[loser] = -1
-                    verified -= 1
-                    owner[spot] = rival if loser == star else star
-                else:
-                    owner[spot] = star
-            if verified >= enough:
-                for star in range(stars):
-                    chosen[star] = trial[star]
-                return pivot, verified, found
+                chosen[star] = room.trial[star]
+            return pivot, number, found
     return -1, 0, found

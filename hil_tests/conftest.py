@@ -1,4 +1,7 @@
-"""Tests that need a real vcan0 (marker `vcan`): where there is none they fail or are skipped, and say why."""
+"""Compiled kernels are kept for the tests too, which call many of them directly.
+
+Tests that need a real vcan0 (marker `vcan`): where there is none they fail or are skipped, and say why.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,12 @@ import socket
 import pytest
 from hypothesis import HealthCheck, settings
 
+from st_emulator.compiled_kernels import keep_compiled_kernels
+
 # How fast the computer is, and what else it does, decides nothing here.
 settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any speed")
+keep_compiled_kernels()  # the folder of the sources as they are now, before the tests import them
 
 MISSING = "there is no vcan0 here: ./tools/vcan .venv/bin/python -m pytest -m vcan runs these tests with one"
 
@@ -31,6 +37,7 @@ def vcan0_is_required() -> bool:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
+    keep_compiled_kernels()
     if item.get_closest_marker("vcan") is None or has_vcan0():
         return
     if vcan0_is_required():

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from .budget.cli import budget
+from .commands.exporting import export_app
 from .errors import ConfigurationError
 
 app = typer.Typer(
@@ -21,7 +22,6 @@ app = typer.Typer(
     help="Hardware-in-the-loop star tracker firmware emulator: a star tracker on a serial line, from "
     "the sky to the bytes.",
 )
-export_app = typer.Typer(no_args_is_help=True, help="Write documents and schemas generated from the code.")
 app.add_typer(export_app, name="export")
 
 Json = Annotated[
@@ -65,6 +65,15 @@ def run(
     unit: Annotated[
         str, typer.Argument(help="A shipped unit (see `st-emulator units`) or the path of a unit file.")
     ],
+    dialect: Annotated[
+        str | None,
+        typer.Option(
+            "--dialect",
+            metavar="NAME",
+            help="The language on the wire: `pus`, `sagitta`, `nos3` (serial), `canopen` (CAN), or "
+            "`module:NAME` of your own. Default: the unit file's.",
+        ),
+    ] = None,
     link: Annotated[
         str | None,
         typer.Option(
@@ -153,6 +162,7 @@ def run(
     run_unit(
         RunOptions(
             unit=unit,
+            dialect=dialect,
             link=link,
             node=node,
             scenario=scenario,
@@ -188,10 +198,23 @@ def demo(
             help="`pty`, or a CAN bus: `can:socketcan/vcan0` (./tools/vcan makes one for a command).",
         ),
     ] = "pty",
+    dialect: Annotated[
+        str | None,
+        typer.Option(
+            "--dialect",
+            metavar="NAME",
+            help="Show another language instead: a scripted exchange in virtual time, its octets on the "
+            "screen (`sagitta`, `nos3`, `canopen`, or `module:NAME` of your own).",
+        ),
+    ] = None,
 ) -> None:
     """Show the main job: a unit and an OBC as two processes over a pseudo-terminal or a CAN bus, in real
     time.
     """
+    if dialect not in (None, "pus"):
+        from .commands.dialect_demo import run_dialect_demo
+
+        raise typer.Exit(run_dialect_demo(unit, str(dialect), seed, json_path, console_for(json_path)))
     from .commands.demo import run_demo
 
     raise typer.Exit(run_demo(unit, seconds, json_path, out, seed, console_for(json_path), link))
@@ -323,105 +346,6 @@ def units(json_path: Json = None) -> None:
     write_json(
         json_path, {"units": [{"name": p.name, "title": p.unit.title, "apid": p.apid} for p in profiles]}, []
     )
-
-
-def _write_document(text: str, out: Path, check: bool) -> None:
-    """Write a generated document, or with ``check`` say whether the written one is up to date."""
-    if check:
-        try:
-            stale = not out.exists() or out.read_bytes() != text.encode()
-        except OSError as error:
-            raise ConfigurationError(f"{out}: cannot be read: {error.strerror}") from error
-        if stale:
-            raise ConfigurationError(
-                f"{out}: out of date; write it anew with the same command without --check"
-            )
-        print(f"{out}: up to date")
-        return
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigurationError(f"{out}: cannot be written: {error.strerror}") from error
-    print(out)
-
-
-Stale = Annotated[
-    bool, typer.Option("--check", help="Write nothing; exit with status 2 when the document is out of date.")
-]
-
-
-@export_app.command("icd")
-def export_icd(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE")] = Path("docs/interface_control_document.md"),
-    check: Stale = False,
-) -> None:
-    """The interface control document, from the message registry."""
-    from .commands.documents import interface_control_document_text
-
-    _write_document(interface_control_document_text(), out, check)
-
-
-@export_app.command("scenario-schema")
-def export_scenario_schema(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE")] = Path("docs/scenario.schema.json"),
-    check: Stale = False,
-) -> None:
-    """The JSON schema of scenario files."""
-    from .bench.scenario import Scenario
-    from .commands.documents import schema_text
-
-    _write_document(schema_text(Scenario), out, check)
-
-
-@export_app.command("unit-schema")
-def export_unit_schema(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE")] = Path("docs/unit.schema.json"),
-    check: Stale = False,
-) -> None:
-    """The JSON schema of unit files."""
-    from .commands.documents import schema_text
-    from .units.profile import UnitProfile
-
-    _write_document(schema_text(UnitProfile), out, check)
-
-
-@export_app.command("dbc")
-def export_dbc(
-    units: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="UNIT[:NODE]",
-            help="Units of the bus, each with the node number of its file or with another. Default: the "
-            "shipped units.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "--out",
-            metavar="FILE",
-            help="Default: docs/units.dbc for the shipped units, else standard output.",
-        ),
-    ] = None,
-    fd: Annotated[
-        bool, typer.Option("--fd", help="For a link with `,fd`: transport frames of up to 64 bytes.")
-    ] = False,
-    check: Stale = False,
-) -> None:
-    """The frames of units on a CAN bus as a DBC file, for any CAN tool."""
-    from .commands.documents import can_database_text
-
-    text = can_database_text(units or (), fd=fd)
-    if out is None and not units and not fd:
-        out = Path("docs/units.dbc")
-    if out is not None:
-        _write_document(text, out, check)
-    elif check:
-        raise ConfigurationError("--check: needs --output FILE, as standard output cannot be out of date")
-    else:
-        sys.stdout.write(text)
 
 
 def _mount_obc() -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+import warnings
+from datetime import UTC, datetime
 
 import erfa
 
 from .clock import NS_PER_S, NS_PER_US
-from .protocol.pus.packets import CucTime
 
 EPOCH_1958 = datetime(1958, 1, 1, tzinfo=UTC)
 
@@ -17,7 +17,9 @@ def tai_minus_utc_s(moment: datetime) -> float:
     utc = moment.astimezone(UTC)
     if utc.year < 1972:
         return 10.0
-    return float(erfa.dat(utc.year, utc.month, utc.day, 0.0))
+    with warnings.catch_warnings():  # "dubious year": leap seconds of the future are not announced
+        warnings.simplefilter("ignore", erfa.ErfaWarning)
+        return float(erfa.dat(utc.year, utc.month, utc.day, 0.0))
 
 
 def tai_ns_from_utc(moment: datetime | str) -> int:
@@ -35,15 +37,3 @@ def tai_ns_from_utc(moment: datetime | str) -> int:
     if tai_ns < 0:
         raise ValueError(f"{moment.isoformat()}: on-board time begins at 1958-01-01")
     return tai_ns
-
-
-def utc_from_cuc(time: CucTime) -> datetime:
-    """The UTC moment of an on-board time, to the microsecond; a leap second reads as the second after it."""
-    tai = EPOCH_1958 + timedelta(microseconds=time.to_ns() // NS_PER_US)
-    utc = tai - timedelta(seconds=tai_minus_utc_s(tai))
-    return tai - timedelta(seconds=tai_minus_utc_s(utc))
-
-
-def seconds(time: CucTime) -> float:
-    """TAI seconds since 1958-01-01 as a float (good to 0.5 us)."""
-    return time.coarse + time.fine / (1 << 24)

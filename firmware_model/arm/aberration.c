@@ -27,8 +27,8 @@ void st_earth_velocity_km_s(int64_t tai_ns, double *velocity_km_s)
     perihelion = (102.93768193 + 0.32327364 * centuries) * RADIANS;
     eccentricity = 0.01671123 - 0.00004392 * centuries;
     anomaly = longitude - perihelion;
-    true_longitude = longitude + 2.0 * eccentricity * sin(anomaly)
-                     + 1.25 * eccentricity * eccentricity * sin(2.0 * anomaly);
+    true_longitude = longitude + 2.0 * eccentricity * sin(anomaly) +
+                     1.25 * eccentricity * eccentricity * sin(2.0 * anomaly);
     speed = MEAN_SPEED_KM_S / sqrt(1.0 - eccentricity * eccentricity);
     along = -speed * (sin(true_longitude) + eccentricity * sin(perihelion));
     across = speed * (cos(true_longitude) + eccentricity * cos(perihelion));

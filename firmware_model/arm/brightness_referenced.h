@@ -4,21 +4,20 @@
 
 #include "identification.h"
 
-/* A candidate of the pivot: the star its partner spike would be, and which spike that is. 12 bytes. */
+/* A candidate of the pivot: the star its partner spike would be, and which spike that is. */
 typedef struct {
     int32_t next; /* entry of the same pivot star that was marked before, -1: none */
     int32_t star;
     int32_t spot;
 } st_brightness_entry;
 
-/* The mark of a catalogue star: its last entry, of this pivot where `pivot` is its number. 8 bytes. */
+/* The mark of a catalogue star: its last entry, of this pivot where `pivot` is its number. */
 typedef struct {
     int32_t head;
     int32_t pivot;
 } st_brightness_mark;
 
-/* Mark table and room to work in, kept from image to image; nothing in it is cleared in between.
- * 16 bytes. */
+/* Mark table and room to work in, kept from image to image; nothing in it is cleared in between. */
 typedef struct {
     st_brightness_mark *mark; /* [stars], all 0 at start-up */
     st_brightness_entry *entry;
@@ -26,8 +25,7 @@ typedef struct {
     int32_t pivots;           /* number of the last pivot, 0 at start-up */
 } st_brightness_marks;
 
-/* interface.BrightnessParameters, with the spikes that patterns are built from. 24 bytes: two doubles, a
- * word, padding. */
+/* interface.BrightnessParameters, with the spikes that patterns are built from. */
 typedef struct {
     double distinct_mag;
     double bright_limit_mag;

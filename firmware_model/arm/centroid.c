@@ -134,14 +134,8 @@ static void paint(const terms *by, const st_surroundings *about, int32_t cluster
 }
 
 /* Unmarked pixels of a part of a row, those from least to most: their sum and number are added. */
-static inline void add_ring(
-    const uint16_t *pixel,
-    const uint8_t *mask,
-    int32_t length,
-    uint32_t least,
-    uint32_t most,
-    uint32_t *sum,
-    uint32_t *kept)
+static inline void add_ring(const uint16_t *pixel, const uint8_t *mask, int32_t length, uint32_t least,
+                            uint32_t most, uint32_t *sum, uint32_t *kept)
 {
     for (; length > 0; length--) {
         uint32_t value = *pixel++;
@@ -154,13 +148,8 @@ static inline void add_ring(
 
 /* Mean of the unmarked pixels outside (x0, y0) to (x1, y1); again of those that are off that by no more than
  * by->off. fallback where they are too few. */
-static int32_t ring_background(
-    const st_image *image,
-    const st_surroundings *about,
-    const axis *x,
-    const axis *y,
-    const terms *by,
-    int32_t fallback)
+static int32_t ring_background(const st_image *image, const st_surroundings *about, const axis *x,
+                               const axis *y, const terms *by, int32_t fallback)
 {
     int32_t left = most_of(about->left, 0);
     int32_t right = least_of(about->left + about->width, image->columns);
@@ -180,8 +169,8 @@ static int32_t ring_background(
                 add_ring(line + left, mask + left, right - left, least, most, &sum, &kept);
             } else {
                 add_ring(line + left, mask + left, inner_left - left, least, most, &sum, &kept);
-                add_ring(
-                    line + inner_right, mask + inner_right, right - inner_right, least, most, &sum, &kept);
+                add_ring(line + inner_right, mask + inner_right, right - inner_right, least, most, &sum,
+                         &kept);
             }
         }
         if (kept < LEAST_RING_PX)
@@ -219,15 +208,8 @@ static inline int64_t rounded(int64_t value, int32_t bits)
 
 /* A window's sums. hug: pixels that are not the cluster's own count for nothing, as those of other clusters
  * always do. weights: room for a row. */
-static void sum_window(
-    const st_image *image,
-    const st_surroundings *about,
-    const axis *x,
-    const axis *y,
-    int32_t background,
-    int32_t hug,
-    weight *weights,
-    window_sums *sums)
+static void sum_window(const st_image *image, const st_surroundings *about, const axis *x, const axis *y,
+                       int32_t background, int32_t hug, weight *weights, window_sums *sums)
 {
     int32_t first_x, last_x, first_y, last_y;
     touched(x, about->left, about->width, &first_x, &last_x);
@@ -285,8 +267,8 @@ static int32_t refused(const st_image *image, const st_cluster *cluster, const s
         return ST_SMALL;
     if (cluster->pixels > limits->max_pixels || extent >= limits->max_extent)
         return ST_LARGE;
-    if (cluster->first_x == 0 || cluster->first_y == 0 || cluster->last_x == image->columns - 1
-        || cluster->last_y == image->rows - 1)
+    if (cluster->first_x == 0 || cluster->first_y == 0 || cluster->last_x == image->columns - 1 ||
+        cluster->last_y == image->rows - 1)
         return ST_EDGE;
     return cluster->sum <= 0 ? ST_FAINT : -1;
 }
@@ -299,8 +281,8 @@ static int32_t within_cluster(const axis *along, double px)
 
 /* The square around a cluster that its window may touch in any pass, with the ring outside it; inner_x and
  * inner_y: without the ring. */
-static void surround(
-    const axis *x, const axis *y, axis *inner_x, axis *inner_y, st_surroundings *about, const uint8_t *mask)
+static void surround(const axis *x, const axis *y, axis *inner_x, axis *inner_y, st_surroundings *about,
+                     const uint8_t *mask)
 {
     const axis *along[2] = {x, y};
     axis *inner[2] = {inner_x, inner_y};
@@ -319,16 +301,9 @@ static void surround(
 
 /* The passes of the centre of mass: its place to x_px and y_px, the last window's sums; narrowed: by the
  * image's edge. Returns why the cluster is no spot, or -1. */
-static int32_t centre_of_mass(
-    const terms *by,
-    const st_surroundings *about,
-    axis *x,
-    axis *y,
-    int32_t background,
-    window_sums *sums,
-    int32_t *narrowed,
-    double *x_px,
-    double *y_px)
+static int32_t centre_of_mass(const terms *by, const st_surroundings *about, axis *x, axis *y,
+                              int32_t background, window_sums *sums, int32_t *narrowed, double *x_px,
+                              double *y_px)
 {
     int32_t hug = x->wide > by->nominal + ONE_PX || y->wide > by->nominal + ONE_PX;
     for (int32_t pass = 0; pass < RECENTRINGS; pass++) {
@@ -394,8 +369,8 @@ static int32_t measure(terms *by, const st_cluster *cluster, int32_t index, st_s
         /* The window's width times the root of the mean of x^2 over it: what noise does to a moment. */
         if (by->spread == 0.0)
             by->spread = (2.0 * half + 1.0) * sqrt(half * (half + 1.0) / 3.0) * by->noise_dn;
-        st_interpolate(
-            by->image, &about, background, by->spread / spot->flux_dn, &limits->interpolation, &x_px, &y_px);
+        st_interpolate(by->image, &about, background, by->spread / spot->flux_dn, &limits->interpolation,
+                       &x_px, &y_px);
     }
     spot->x_px = x_px;
     spot->y_px = y_px;
@@ -404,21 +379,10 @@ static int32_t measure(terms *by, const st_cluster *cluster, int32_t index, st_s
     return -1;
 }
 
-int32_t st_measure_spots(
-    const st_image *image,
-    const st_run *runs,
-    const int32_t *row_start,
-    const int32_t *label,
-    const st_cluster *clusters,
-    int32_t number,
-    double noise_dn,
-    int32_t local_background,
-    int32_t reach,
-    const st_spot_limits *limits,
-    st_spot *spots,
-    int8_t *outcome,
-    int32_t *rejected,
-    void *room)
+int32_t st_measure_spots(const st_image *image, const st_run *runs, const int32_t *row_start,
+                         const int32_t *label, const st_cluster *clusters, int32_t number, double noise_dn,
+                         int32_t local_background, int32_t reach, const st_spot_limits *limits,
+                         st_spot *spots, int8_t *outcome, int32_t *rejected, void *room)
 {
     int32_t half = limits->half_window;
     int32_t side = side_of(limits);
@@ -477,7 +441,8 @@ int32_t st_order_spots(const st_spot *spots, int32_t count, int32_t most, int32_
             int32_t a = begin;
             int32_t b = middle;
             for (int32_t i = begin; i < end; i++) {
-                int32_t first = b == end || (a < middle && key_of(&spots[from[a]]) >= key_of(&spots[from[b]]));
+                int32_t first = b == end ||
+                                (a < middle && key_of(&spots[from[a]]) >= key_of(&spots[from[b]]));
                 to[i] = first ? from[a++] : from[b++];
             }
         }

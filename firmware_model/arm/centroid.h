@@ -50,21 +50,10 @@ int32_t st_centroid_room_bytes(const st_spot_limits *limits);
  * runs, row_start[image->rows + 1] and label as st_join_runs left them. noise_dn: 1 sigma of a pixel.
  * local_background: from a ring round the spot, else the cluster's own. reach: 1 for clusters of raw pixels,
  * 0 for those of a smoothed image. outcome[number]: -1 or the reason. rejected[ST_REASONS]: added to. */
-int32_t st_measure_spots(
-    const st_image *image,
-    const st_run *runs,
-    const int32_t *row_start,
-    const int32_t *label,
-    const st_cluster *clusters,
-    int32_t number,
-    double noise_dn,
-    int32_t local_background,
-    int32_t reach,
-    const st_spot_limits *limits,
-    st_spot *spots,
-    int8_t *outcome,
-    int32_t *rejected,
-    void *room);
+int32_t st_measure_spots(const st_image *image, const st_run *runs, const int32_t *row_start,
+                         const int32_t *label, const st_cluster *clusters, int32_t number, double noise_dn,
+                         int32_t local_background, int32_t reach, const st_spot_limits *limits,
+                         st_spot *spots, int8_t *outcome, int32_t *rejected, void *room);
 
 /* Order spots by flux, brightest first, equal ones as they were; the first most of them go to ordered.
  * order[2 * count]: room. Returns how many went there. */

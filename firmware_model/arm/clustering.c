@@ -17,8 +17,8 @@ static inline int32_t root_of(int32_t *parent, int32_t run)
     return run;
 }
 
-int32_t st_join_runs(
-    const st_run *runs, int32_t count, const int32_t *row_start, int32_t rows, int32_t *label)
+int32_t st_join_runs(const st_run *runs, int32_t count, const int32_t *row_start, int32_t rows,
+                     int32_t *label)
 {
     for (int32_t run = 0; run < count; run++)
         label[run] = run;
@@ -67,14 +67,8 @@ static void begin(st_cluster *cluster, const st_run *run, int32_t background)
     cluster->first_y = run->row;
 }
 
-void st_sum_clusters(
-    const st_image *image,
-    const st_run *runs,
-    int32_t count,
-    const int32_t *run_background,
-    const int32_t *label,
-    st_cluster *clusters,
-    int32_t number)
+void st_sum_clusters(const st_image *image, const st_run *runs, int32_t count, const int32_t *run_background,
+                     const int32_t *label, st_cluster *clusters, int32_t number)
 {
     memset(clusters, 0, (size_t)number * sizeof *clusters);
     for (int32_t i = 0; i < count; i++) {
@@ -100,9 +94,9 @@ void st_sum_clusters(
         int32_t down = run->row - cluster->origin_y;
         /* The same of the background, which is the cluster's for all of its pixels. */
         int64_t weight = ((int64_t)sum << ST_BACKGROUND_BITS) - (int64_t)cluster->background * length;
-        int64_t weight_right =
-            (int64_t)(((uint64_t)sum * (uint32_t)length - sums) << ST_BACKGROUND_BITS)
-            - (int64_t)cluster->background * (int32_t)((uint32_t)(length * (length - 1)) >> 1);
+        int64_t weight_right = (int64_t)(((uint64_t)sum * (uint32_t)length - sums) << ST_BACKGROUND_BITS) -
+                               (int64_t)cluster->background *
+                                   (int32_t)((uint32_t)(length * (length - 1)) >> 1);
         cluster->sum += weight;
         cluster->sum_x += weight_right + weight * right;
         cluster->sum_y += weight * down;

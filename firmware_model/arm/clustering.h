@@ -30,18 +30,12 @@ typedef struct {
 
 /* Label the first count runs by 8-connected cluster, 0 to clusters - 1 in the order of their first runs.
  * runs: row by row, left to right; row_start[rows + 1]; label[count]. Returns the number of clusters. */
-int32_t st_join_runs(
-    const st_run *runs, int32_t count, const int32_t *row_start, int32_t rows, int32_t *label);
+int32_t st_join_runs(const st_run *runs, int32_t count, const int32_t *row_start, int32_t rows,
+                     int32_t *label);
 
 /* Sum the runs' pixels into clusters[number], which need not be cleared before.
  * run_background[count]: DN, scaled by 2^ST_BACKGROUND_BITS. */
-void st_sum_clusters(
-    const st_image *image,
-    const st_run *runs,
-    int32_t count,
-    const int32_t *run_background,
-    const int32_t *label,
-    st_cluster *clusters,
-    int32_t number);
+void st_sum_clusters(const st_image *image, const st_run *runs, int32_t count, const int32_t *run_background,
+                     const int32_t *label, st_cluster *clusters, int32_t number);
 
 #endif

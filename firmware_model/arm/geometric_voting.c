@@ -283,8 +283,8 @@ static int32_t judge(search *s, int32_t members)
     int32_t best_enough = s->best.matched >= limits->min_stars;
     if (trial.matched == 0 || (!enough && best_enough))
         return END_REACHED;
-    double chance =
-        st_false_solutions(s->stars->stars, spikes, trial.matched, s->spread_rad, limits->tolerance_rad);
+    double chance = st_false_solutions(s->stars->stars, spikes, trial.matched, s->spread_rad,
+                                       limits->tolerance_rad);
     if (chance > (enough ? limits->most_false_solutions : limits->most_false_triangles))
         return END_REACHED;
     if (s->best.matched > 0 && enough == best_enough) {
@@ -292,8 +292,8 @@ static int32_t judge(search *s, int32_t members)
         if (!is_same(s, q)) {
             if (!enough)
                 s->rivals = 1;
-            else if (chance > limits->certain_false_solutions
-                     && s->best_chance > limits->certain_false_solutions)
+            else if (chance > limits->certain_false_solutions &&
+                     s->best_chance > limits->certain_false_solutions)
                 return AMBIGUOUS;
         }
         if (chance >= s->best_chance)

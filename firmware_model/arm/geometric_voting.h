@@ -8,7 +8,7 @@
 #define ST_MOST_IDENTITIES 32     /* of one spike */
 #define ST_VOTES_OF_A_SPIKE(stars) (((stars) + 1) & ~1) /* they are read two by two */
 
-/* Room to work in, kept from image to image or not; it is cleared here. 12 bytes. */
+/* Room to work in, kept from image to image or not; it is cleared here. */
 typedef struct {
     uint16_t *votes; /* [spikes][ST_VOTES_OF_A_SPIKE(stars)], spikes at most ST_MOST_VOTING_SPIKES */
     uint32_t *fits;  /* a bit for each two identities */

@@ -77,10 +77,10 @@ void st_project(const double *vectors, int32_t count, const st_camera *camera, d
         if (r2 > camera->r2_limit)
             continue;
         radial = 1.0 + (k1 + k2 * r2) * r2;
-        x_px[i] = camera->cx_px
-                  + camera->focal_px * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x));
-        y_px[i] = camera->cy_px
-                  + camera->focal_px * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
+        x_px[i] = camera->cx_px +
+                  camera->focal_px * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x));
+        y_px[i] = camera->cy_px +
+                  camera->focal_px * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
         ahead[i] = 1;
     }
 }

@@ -4,7 +4,7 @@
 
 #include <stdint.h>
 
-/* A camera: 20 doubles and 2 words, no padding. */
+/* A camera. */
 typedef struct {
     double focal_px, cx_px, cy_px;
     double k1, k2, p1, p2;

@@ -1,6 +1,5 @@
 /* What the identification algorithms share: star tables, limits and solutions as the Python stages have them
- * (catalogue/tables.py, identification/interface.py, identification/solutions.py). The layout of each struct
- * is that of AAPCS, 32-bit pointers, doubles on multiples of 8. */
+ * (catalogue/tables.py, identification/interface.py, identification/solutions.py). */
 #ifndef ST_IDENTIFICATION_H
 #define ST_IDENTIFICATION_H
 
@@ -25,14 +24,14 @@ enum {
     ST_REASON_UNCONFIRMED = 8192
 };
 
-/* Spikes, brightest first. 12 bytes. */
+/* Spikes, brightest first. */
 typedef struct {
     const double *b;          /* [count][3], unit vectors in the sensor frame */
     const double *magnitudes; /* [count] */
     int32_t count;
 } st_spikes;
 
-/* The star catalogue. 48 bytes: the grid of 32, three words from byte 32, padding. */
+/* The star catalogue. */
 typedef struct {
     st_sky_cells cells; /* with the stars' unit vectors */
     const float *hp_mag; /* [stars] */
@@ -40,7 +39,7 @@ typedef struct {
     int32_t *near; /* [stars], room for the rows that a search of the grid gives */
 } st_star_table;
 
-/* The pair catalogue with its k-vector. 48 bytes: three doubles, five words from byte 24, padding.
+/* The pair catalogue with its k-vector.
  * pairs is 0 where there are none; count_below has one entry more than there are pairs. */
 typedef struct {
     double slope;
@@ -53,7 +52,7 @@ typedef struct {
     int32_t pairs;
 } st_pair_table;
 
-/* Limits of a search, solutions.Limits without that of the work. 160 bytes: 19 doubles, two words. */
+/* Limits of a search, solutions.Limits without that of the work. */
 typedef struct {
     double tolerance_rad;
     double separation_rad; /* no two stars of the catalogue are closer */
@@ -67,7 +66,7 @@ typedef struct {
     int32_t field_given;
 } st_limits;
 
-/* A solution. 64 bytes: five doubles, five words from byte 40, padding. */
+/* A solution. */
 typedef struct {
     double q[4];
     double chance;   /* how many solutions as good as this one chance gives per image */
@@ -78,13 +77,13 @@ typedef struct {
     int32_t *star_index; /* [spikes], -1 where there is no star; the caller's */
 } st_solution;
 
-/* The best of each worth: kept[ST_CONFIRMED] and kept[ST_TRIANGLE]. 128 bytes. */
+/* The best of each worth: kept[ST_CONFIRMED] and kept[ST_TRIANGLE]. */
 typedef struct {
     st_solution kept[2];
 } st_solutions;
 
-/* An identification of all spikes given. 56 bytes: five doubles, four words. star_index[spikes] is the
- * caller's, -1 where there is no star. q is untouched and false_solutions infinite without a solution. */
+/* An identification of all spikes given. star_index[spikes] is the caller's, -1 where there is no
+ * star. q is untouched and false_solutions infinite without a solution. */
 typedef struct {
     double q[4];
     double false_solutions;

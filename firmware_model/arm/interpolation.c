@@ -50,14 +50,8 @@ static double place_on_axis(const int64_t sums[3], const st_interpolation_terms 
     return left ? x : -x;
 }
 
-int32_t st_interpolate(
-    const st_image *image,
-    const st_surroundings *about,
-    int32_t background,
-    double com_sigma_px,
-    const st_interpolation_terms *terms,
-    double *x_px,
-    double *y_px)
+int32_t st_interpolate(const st_image *image, const st_surroundings *about, int32_t background,
+                       double com_sigma_px, const st_interpolation_terms *terms, double *x_px, double *y_px)
 {
     int32_t columns = image->columns;
     /* Places are within the image, so not negative: truncation is rounding down. */

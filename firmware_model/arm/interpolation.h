@@ -15,13 +15,7 @@ enum { ST_OWN = 1, ST_OTHER = 2 }; /* bits of a mask */
 
 /* The spot's place to x_px, y_px (in: its centre of mass), and 1; or 0 where that has to stay.
  * background: DN, scaled by 2^ST_BACKGROUND_BITS; com_sigma_px: error of the centre of mass, 1 sigma. */
-int32_t st_interpolate(
-    const st_image *image,
-    const st_surroundings *about,
-    int32_t background,
-    double com_sigma_px,
-    const st_interpolation_terms *terms,
-    double *x_px,
-    double *y_px);
+int32_t st_interpolate(const st_image *image, const st_surroundings *about, int32_t background,
+                       double com_sigma_px, const st_interpolation_terms *terms, double *x_px, double *y_px);
 
 #endif

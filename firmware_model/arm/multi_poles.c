@@ -280,13 +280,13 @@ static int32_t judge(search *s, int32_t number)
         return END_REACHED;
     double chance = st_false_solutions(s->stars->stars, s->spikes.count, trial.matched, s->spread_rad,
                                        limits->tolerance_rad);
-    if (chance > (trial.matched >= limits->min_stars ? limits->most_false_solutions
-                                                     : limits->most_false_triangles))
+    if (chance >
+        (trial.matched >= limits->min_stars ? limits->most_false_solutions : limits->most_false_triangles))
         return END_REACHED;
     if (s->best.matched > 0) {
         /* A rival stands unless one of the two is certain. */
-        if (!is_same(s, q) && chance > limits->certain_false_solutions
-            && s->best_chance > limits->certain_false_solutions)
+        if (!is_same(s, q) && chance > limits->certain_false_solutions &&
+            s->best_chance > limits->certain_false_solutions)
             return AMBIGUOUS;
         if (chance >= s->best_chance)
             return END_REACHED;

@@ -4,7 +4,7 @@
 
 #include "identification.h"
 
-/* A catalogue pair that fits one neighbour, by the star that would be the pole. 16 bytes. */
+/* A catalogue pair that fits one neighbour, by the star that would be the pole. */
 typedef struct {
     int32_t next; /* entry of the same star that was made before, -1: none */
     int32_t partner;
@@ -12,15 +12,14 @@ typedef struct {
     int32_t neighbour; /* spike */
 } st_poles_entry;
 
-/* What a catalogue star has as the pole. 12 bytes. */
+/* What a catalogue star has as the pole. */
 typedef struct {
     int32_t last_voter; /* number of the pole's first neighbour (base) plus the one that voted last */
     int32_t head;       /* its last entry; this and votes are of this pole where last_voter >= base */
     int32_t votes;
 } st_poles_mark;
 
-/* Mark table and room to work in, kept from image to image; nothing in it is cleared in between.
- * 20 bytes. */
+/* Mark table and room to work in, kept from image to image; nothing in it is cleared in between. */
 typedef struct {
     st_poles_mark *mark; /* [stars], all 0 at start-up */
     st_poles_entry *entry;
@@ -29,7 +28,7 @@ typedef struct {
     int32_t *sets;       /* [spikes][spikes], the stars accepted by one pole after the other */
 } st_poles_marks;
 
-/* interface.MultiPolesParameters. 16 bytes: a double, a word, padding. */
+/* interface.MultiPolesParameters. */
 typedef struct {
     double magnitude_tolerance;
     int32_t least_recognised;

@@ -6,8 +6,7 @@
 
 #define ST_MOST_PATTERN_SPIKES 64  /* patterns are built from no more spikes */
 
-/* Mark table and room to work in, kept from image to image; nothing in it is cleared in between.
- * 20 bytes. */
+/* Mark table and room to work in, kept from image to image; nothing in it is cleared in between. */
 typedef struct {
     int32_t *head;    /* [stars], all 0 at start-up */
     int32_t *partner; /* [entries] */

@@ -14,8 +14,8 @@ void st_quaternion_product(const double *p, const double *q, double *product)
     product[1] = p[3] * q[1] + q[3] * p[1] - (p[2] * q[0] - p[0] * q[2]);
     product[2] = p[3] * q[2] + q[3] * p[2] - (p[0] * q[1] - p[1] * q[0]);
     product[3] = p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2];
-    norm = sqrt(product[0] * product[0] + product[1] * product[1] + product[2] * product[2]
-                + product[3] * product[3]);
+    norm = sqrt(product[0] * product[0] + product[1] * product[1] + product[2] * product[2] +
+                product[3] * product[3]);
     norm = copysign(norm, product[3]);
     for (i = 0; i < 4; i++)
         product[i] /= norm;
@@ -44,16 +44,16 @@ static double variance_along(const double *axis, const double *matrix)
     int32_t m;
 
     for (m = 0; m < 3; m++)
-        sum += axis[m]
-               * (matrix[3 * m] * axis[0] + matrix[3 * m + 1] * axis[1] + matrix[3 * m + 2] * axis[2]);
+        sum += axis[m] *
+               (matrix[3 * m] * axis[0] + matrix[3 * m + 1] * axis[1] + matrix[3 * m + 2] * axis[2]);
     return sum;
 }
 
 int32_t st_rate_too_high(const double *rate_rad_s, double interval_s, const double *before_rad2,
                          const double *now_rad2, double limit_rad_s)
 {
-    double rate = sqrt(rate_rad_s[0] * rate_rad_s[0] + rate_rad_s[1] * rate_rad_s[1]
-                       + rate_rad_s[2] * rate_rad_s[2]);
+    double rate = sqrt(rate_rad_s[0] * rate_rad_s[0] + rate_rad_s[1] * rate_rad_s[1] +
+                       rate_rad_s[2] * rate_rad_s[2]);
     double axis[3];
     double variance;
     int32_t m;

@@ -17,8 +17,8 @@ static int32_t floor_int(double value)
     return value < (double)whole ? whole - 1 : whole;
 }
 
-int32_t st_stars_in_cone(
-    const st_sky_cells *cells, double x, double y, double z, double radius_rad, int32_t *found, int32_t room)
+int32_t st_stars_in_cone(const st_sky_cells *cells, double x, double y, double z, double radius_rad,
+                         int32_t *found, int32_t room)
 {
     const double *unit_vectors = cells->unit_vectors;
     double height = cells->band_height_rad;
@@ -78,15 +78,8 @@ int32_t st_stars_in_cone(
     return count;
 }
 
-int32_t st_nearest_star(
-    const st_sky_cells *cells,
-    double x,
-    double y,
-    double z,
-    double radius_rad,
-    int32_t *found,
-    int32_t room,
-    double *angle_rad)
+int32_t st_nearest_star(const st_sky_cells *cells, double x, double y, double z, double radius_rad,
+                        int32_t *found, int32_t room, double *angle_rad)
 {
     int32_t count = st_stars_in_cone(cells, x, y, z, radius_rad, found, room);
     int32_t nearest = -1;

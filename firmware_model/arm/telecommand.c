@@ -61,8 +61,7 @@ static int32_t reason_of(const uint8_t *packet, int32_t count, uint32_t apid)
     return 0;
 }
 
-int32_t st_telecommand_check(const uint8_t *packet, int32_t count, uint32_t apid,
-                             st_telecommand *telecommand)
+int32_t st_telecommand_check(const uint8_t *packet, int32_t count, uint32_t apid, st_telecommand *telecommand)
 {
     telecommand->length = count;
     telecommand->reason = reason_of(packet, count, apid);

@@ -103,7 +103,8 @@ static int32_t twice_median(const uint16_t *values, int32_t count)
     int32_t high[DIGITS] = {0};
     for (int32_t i = 0; i < count; i++)
         high[values[i] >> DIGIT_BITS]++;
-    return value_of_rank(values, count, high, (count - 1) / 2) + value_of_rank(values, count, high, count / 2);
+    return value_of_rank(values, count, high, (count - 1) / 2) +
+           value_of_rank(values, count, high, count / 2);
 }
 
 void st_frame_statistics(const st_image *image, st_statistics *statistics)
@@ -188,8 +189,8 @@ static NOINLINE uint32_t pixels_over(const uint16_t *pixel, int32_t pixels, uint
 }
 
 /* Note the pixels of a block that are over the threshold. */
-static inline void keep_over(
-    block *here, scan_terms *terms, const uint16_t *pixel, int32_t pixels, uint32_t limit, uint32_t *sum)
+static inline void keep_over(block *here, scan_terms *terms, const uint16_t *pixel, int32_t pixels,
+                             uint32_t limit, uint32_t *sum)
 {
     here->over = pixels_over(pixel, pixels, limit, sum);
     if (here < terms->first_found)
@@ -206,8 +207,13 @@ static inline uint32_t lift_of(uint32_t limit)
     return lift | lift << 16;
 }
 
-#define ADD_NARROW(pair) both += pair; seen |= pair + lift;
-#define ADD_WIDE(pair) both += pair; upper += pair >> 16; seen |= pair | (pair + lift);
+#define ADD_NARROW(pair)                                                                                     \
+    both += pair;                                                                                            \
+    seen |= pair + lift;
+#define ADD_WIDE(pair)                                                                                       \
+    both += pair;                                                                                            \
+    upper += pair >> 16;                                                                                     \
+    seen |= pair | (pair + lift);
 #define FOUR_WORDS(ADD, at) ADD(word[at]) ADD(word[at + 1]) ADD(word[at + 2]) ADD(word[at + 3])
 #define SIXTEEN_WORDS(ADD) FOUR_WORDS(ADD, 0) FOUR_WORDS(ADD, 4) FOUR_WORDS(ADD, 8) FOUR_WORDS(ADD, 12)
 
@@ -254,8 +260,8 @@ static uint32_t sum_pixels(const uint16_t *pixel, int32_t pixels, uint32_t lift,
 }
 
 /* A row's last pixels, or a block that does not begin at a whole word. */
-static NOINLINE int32_t scan_pixels(
-    const uint16_t *pixel, int32_t pixels, scan_terms *terms, int32_t average, block *here)
+static NOINLINE int32_t scan_pixels(const uint16_t *pixel, int32_t pixels, scan_terms *terms, int32_t average,
+                                    block *here)
 {
     uint32_t limit = limit_of(average, terms);
     uint32_t seen;
@@ -271,8 +277,8 @@ static NOINLINE int32_t scan_pixels(
 }
 
 /* The whole blocks of a row, step 1 from the first, or -1 from the last; returns the average after them. */
-static inline int32_t scan_blocks(
-    const uint16_t *pixel, int32_t step, int32_t wide, scan_terms *terms, int32_t average, block *here)
+static inline int32_t scan_blocks(const uint16_t *pixel, int32_t step, int32_t wide, scan_terms *terms,
+                                  int32_t average, block *here)
 {
     for (int32_t left = terms->whole; left > 0; left--) {
         const uint32_t *word = (const uint32_t *)(const void *)pixel;
@@ -291,21 +297,21 @@ static inline int32_t scan_blocks(
     return average;
 }
 
-static NOINLINE int32_t scan_narrow(
-    const uint16_t *pixel, int32_t step, scan_terms *terms, int32_t average, block *here)
+static NOINLINE int32_t scan_narrow(const uint16_t *pixel, int32_t step, scan_terms *terms, int32_t average,
+                                    block *here)
 {
     return scan_blocks(pixel, step, 0, terms, average, here);
 }
 
-static NOINLINE int32_t scan_wide(
-    const uint16_t *pixel, int32_t step, scan_terms *terms, int32_t average, block *here)
+static NOINLINE int32_t scan_wide(const uint16_t *pixel, int32_t step, scan_terms *terms, int32_t average,
+                                  block *here)
 {
     return scan_blocks(pixel, step, 1, terms, average, here);
 }
 
 /* A row in its direction; returns the average after it. */
-static int32_t scan_row(
-    const uint16_t *line, int32_t backwards, scan_terms *terms, int32_t average, block *blocks)
+static int32_t scan_row(const uint16_t *line, int32_t backwards, scan_terms *terms, int32_t average,
+                        block *blocks)
 {
     int32_t whole = terms->whole;
     int32_t step = backwards ? -1 : 1;
@@ -333,8 +339,8 @@ typedef struct {
 
 /* The runs of a row from its blocks between the first and the last that were found to have pixels over the
  * threshold; 0 where the table is full. */
-static NOINLINE int32_t runs_of_row(
-    const scan_terms *terms, const block *blocks, int32_t row, int32_t columns, run_table *table)
+static NOINLINE int32_t runs_of_row(const scan_terms *terms, const block *blocks, int32_t row,
+                                    int32_t columns, run_table *table)
 {
     st_run *run = table->runs + table->count;
     const block *here = terms->first_found;
@@ -373,13 +379,8 @@ static NOINLINE int32_t runs_of_row(
     return 1;
 }
 
-int32_t st_threshold_scan(
-    const st_image *image,
-    const st_threshold *threshold,
-    st_run *runs,
-    int32_t *run_background,
-    int32_t *row_start,
-    int32_t *room)
+int32_t st_threshold_scan(const st_image *image, const st_threshold *threshold, st_run *runs,
+                          int32_t *run_background, int32_t *row_start, int32_t *room)
 {
     int32_t columns = image->columns;
     block *blocks = (block *)room;

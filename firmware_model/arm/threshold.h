@@ -29,12 +29,7 @@ typedef struct {
  * begins, scaled by 2^ST_BACKGROUND_BITS. run_background[capacity], row_start[rows + 1]; room[2 blocks]: a
  * block is ST_BLOCK_PX pixels of a row or its rest. Returns their number, or -1 - number where the table was
  * full: rows below hold none. */
-int32_t st_threshold_scan(
-    const st_image *image,
-    const st_threshold *threshold,
-    st_run *runs,
-    int32_t *run_background,
-    int32_t *row_start,
-    int32_t *room);
+int32_t st_threshold_scan(const st_image *image, const st_threshold *threshold, st_run *runs,
+                          int32_t *run_background, int32_t *row_start, int32_t *room);
 
 #endif

@@ -69,17 +69,10 @@ static int32_t insert_brightest(st_plan_room *room, int32_t count, int32_t most,
     return count < most ? count + 1 : most;
 }
 
-void st_plan_windows(
-    const double *q_icrs_to_sensor,
-    int32_t pivot_star,
-    const st_catalogue *catalogue,
-    const st_camera *camera,
-    const st_tracking_parameters *parameters,
-    double interval_s,
-    double exposure_s,
-    const double *velocity_over_c,
-    st_tracking_plan *plan,
-    st_plan_room *room)
+void st_plan_windows(const double *q_icrs_to_sensor, int32_t pivot_star, const st_catalogue *catalogue,
+                     const st_camera *camera, const st_tracking_parameters *parameters, double interval_s,
+                     double exposure_s, const double *velocity_over_c, st_tracking_plan *plan,
+                     st_plan_room *room)
 {
     const double *unit_vectors = catalogue->cells.unit_vectors;
     double a[9];
@@ -90,8 +83,8 @@ void st_plan_windows(
         centre = unit_vectors + 3 * pivot_star;
         radius_rad = 2.0 * parameters->half_diagonal_rad + BEYOND_FIELD_RAD;
     }
-    int32_t neighbours = st_stars_in_cone(
-        &catalogue->cells, centre[0], centre[1], centre[2], radius_rad, room->neighbour, room->capacity);
+    int32_t neighbours = st_stars_in_cone(&catalogue->cells, centre[0], centre[1], centre[2], radius_rad,
+                                          room->neighbour, room->capacity);
     neighbours = smaller(neighbours, room->capacity);
     st_apparent(unit_vectors, room->neighbour, neighbours, velocity_over_c, room->reference);
     const double *r = room->reference;
@@ -122,8 +115,8 @@ void st_plan_windows(
     int32_t stars = 0;
     for (int32_t i = 0; i < inside; i++) {
         if (room->flag[i])
-            stars = insert_brightest(
-                room, stars, parameters->max_windows, i, order_key(catalogue->hp_mag[room->neighbour[i]]));
+            stars = insert_brightest(room, stars, parameters->max_windows, i,
+                                     order_key(catalogue->hp_mag[room->neighbour[i]]));
     }
     for (int32_t i = 0; i < stars; i++) {
         int32_t place = room->place[i];
@@ -134,26 +127,12 @@ void st_plan_windows(
     }
     plan->stars = stars;
     plan->half_width_px = half_width_px(parameters, interval_s, exposure_s);
-    plan->windows = st_merge_windows(
-        plan->x_px,
-        plan->y_px,
-        stars,
-        plan->half_width_px,
-        camera->width_px,
-        camera->height_px,
-        plan->rects,
-        plan->window);
+    plan->windows = st_merge_windows(plan->x_px, plan->y_px, stars, plan->half_width_px, camera->width_px,
+                                     camera->height_px, plan->rects, plan->window);
 }
 
-int32_t st_merge_windows(
-    const double *x_px,
-    const double *y_px,
-    int32_t stars,
-    int32_t half,
-    int32_t width,
-    int32_t height,
-    st_rect *rects,
-    int32_t *window)
+int32_t st_merge_windows(const double *x_px, const double *y_px, int32_t stars, int32_t half, int32_t width,
+                         int32_t height, st_rect *rects, int32_t *window)
 {
     int32_t windows = 0;
     for (int32_t star = 0; star < stars; star++) {
@@ -205,8 +184,8 @@ static double chord_square(const double *u, const double *v)
 }
 
 /* Squares of the chords between which an angle is within the tolerance of that of two catalogue stars. */
-static void chord_bounds(
-    const double *u, const double *v, const st_tracking_parameters *parameters, double *low, double *high)
+static void chord_bounds(const double *u, const double *v, const st_tracking_parameters *parameters,
+                         double *low, double *high)
 {
     double square = chord_square(u, v);
     double middle = sqrt(square) * parameters->cos_half_tolerance;
@@ -261,8 +240,8 @@ static int32_t try_pivot(const verification *v, int32_t pivot, int32_t pivot_spo
             if (spot == pivot_spot)
                 continue;
             if (*high < 0.0)
-                chord_bounds(
-                    plan->reference + 3 * pivot, plan->reference + 3 * star, v->parameters, low, high);
+                chord_bounds(plan->reference + 3 * pivot, plan->reference + 3 * star, v->parameters, low,
+                             high);
             double *square = room->chord + spot;
             if (*square < 0.0)
                 *square = chord_square(v->b_vectors + 3 * pivot_spot, v->b_vectors + 3 * spot);
@@ -299,18 +278,10 @@ static int32_t try_pivot(const verification *v, int32_t pivot, int32_t pivot_spo
     return verified;
 }
 
-int32_t st_verify_by_pivot(
-    const st_tracking_plan *plan,
-    const st_catalogue *catalogue,
-    const st_tracking_parameters *parameters,
-    const double *b_vectors,
-    const st_spot *spots,
-    const int32_t *window_of,
-    int32_t count,
-    int32_t *chosen,
-    int32_t *verified,
-    int32_t *found,
-    st_verify_room *room)
+int32_t st_verify_by_pivot(const st_tracking_plan *plan, const st_catalogue *catalogue,
+                           const st_tracking_parameters *parameters, const double *b_vectors,
+                           const st_spot *spots, const int32_t *window_of, int32_t count, int32_t *chosen,
+                           int32_t *verified, int32_t *found, st_verify_room *room)
 {
     const verification v = {plan, catalogue->hp_mag, parameters, b_vectors, spots, count, room};
     int32_t spot = 0;

@@ -56,8 +56,8 @@ int32_t st_match_spots(const st_spikes *spikes, const double *q, const st_star_t
                 star = -1;
         }
         if (star < 0) {
-            int32_t near = st_stars_in_cone(&stars->cells, turned[0], turned[1], turned[2], radius_rad,
-                                            found, MOST_NEAR);
+            int32_t near = st_stars_in_cone(&stars->cells, turned[0], turned[1], turned[2], radius_rad, found,
+                                            MOST_NEAR);
             int32_t nearest = -1;
             double smallest = 1e300;
             for (int32_t place = 0; place < near && place < MOST_NEAR; place++) {
@@ -240,14 +240,14 @@ st_verified st_verify(const st_spikes *spikes, double *q, const st_star_table *s
             int32_t spike = 0;
             while (spike < spikes->count && before[spike] == star_index[spike])
                 spike++;
-            if (spike == spikes->count) /* the same matches, so the same attitude, and whatever would follow */
+            if (spike ==
+                spikes->count) /* the same matches, so the same attitude, and whatever would follow */
                 break;
         }
         st_refine(spikes, stars, star_index, q);
     }
-    if (verified.matched < FEW_MATCHES &&
-        st_odd_brightness(spikes->magnitudes, stars->hp_mag, star_index, spikes->count,
-                          limits->magnitude_tolerance) > 1)
+    if (verified.matched < FEW_MATCHES && st_odd_brightness(spikes->magnitudes, stars->hp_mag, star_index,
+                                                            spikes->count, limits->magnitude_tolerance) > 1)
         return failed;
     if (limits->field_given) {
         st_expected(q, limits->normals, stars, star_index, spikes->count, &verified.expected, &verified.seen);

@@ -12,8 +12,8 @@
 #define BACKGROUND_SCALE ((double)(1 << ST_BACKGROUND_BITS))
 #define CUT_WITHIN_PX 3 /* a cluster so near to the window's side is cut by it */
 
-int32_t st_smoothed_runs(
-    const st_image *window, int32_t limit, st_run *runs, int32_t capacity, int32_t *row_start)
+int32_t st_smoothed_runs(const st_image *window, int32_t limit, st_run *runs, int32_t capacity,
+                         int32_t *row_start)
 {
     const uint16_t *line = window->pixels;
     int32_t rows = window->rows;
@@ -64,11 +64,8 @@ int32_t st_smoothed_runs(
     return run - runs;
 }
 
-void st_window_runs(
-    const st_image *window,
-    const st_window_parameters *parameters,
-    st_window_room *room,
-    st_statistics *statistics)
+void st_window_runs(const st_image *window, const st_window_parameters *parameters, st_window_room *room,
+                    st_statistics *statistics)
 {
     st_window_statistics(window, statistics);
     /* A 3 x 3 sum has 9 times the background and 3 times the noise of a pixel. */
@@ -86,13 +83,13 @@ void st_window_clusters(const st_image *window, const st_statistics *statistics,
     for (int32_t run = 0; run < count; run++)
         room->run_background[run] = background;
     room->cluster_count = st_join_runs(room->runs, count, room->row_start, window->rows, room->label);
-    st_sum_clusters(
-        window, room->runs, count, room->run_background, room->label, room->clusters, room->cluster_count);
+    st_sum_clusters(window, room->runs, count, room->run_background, room->label, room->clusters,
+                    room->cluster_count);
 }
 
 /* Why a window with clusters gave no spot: what became of its brightest cluster. */
-static int32_t worst_status(
-    const st_window_room *room, const st_rect *rect, const st_window_parameters *parameters)
+static int32_t worst_status(const st_window_room *room, const st_rect *rect,
+                            const st_window_parameters *parameters)
 {
     int32_t brightest = 0;
     for (int32_t cluster = 1; cluster < room->cluster_count; cluster++) {
@@ -113,33 +110,14 @@ static int32_t worst_status(
     return ST_WINDOW_REJECTED;
 }
 
-int32_t st_window_spots(
-    const st_image *window,
-    const st_rect *rect,
-    const st_window_parameters *parameters,
-    const st_statistics *statistics,
-    int32_t keep,
-    double expected_magnitude,
-    st_window_room *room,
-    st_spot *chosen,
-    int32_t *kept)
+int32_t st_window_spots(const st_image *window, const st_rect *rect, const st_window_parameters *parameters,
+                        const st_statistics *statistics, int32_t keep, double expected_magnitude,
+                        st_window_room *room, st_spot *chosen, int32_t *kept)
 {
     const st_spot *best = room->ordered;
-    int32_t found = st_measure_spots(
-        window,
-        room->runs,
-        room->row_start,
-        room->label,
-        room->clusters,
-        room->cluster_count,
-        statistics->noise_dn,
-        0,
-        0,
-        parameters->limits,
-        room->spots,
-        room->outcome,
-        room->rejected,
-        room->centroid_room);
+    int32_t found = st_measure_spots(window, room->runs, room->row_start, room->label, room->clusters,
+                                     room->cluster_count, statistics->noise_dn, 0, 0, parameters->limits,
+                                     room->spots, room->outcome, room->rejected, room->centroid_room);
     room->spot_count = found;
     *kept = 0;
     if (found == 0)
@@ -180,8 +158,7 @@ static double median(double *values, int32_t count)
     return count & 1 ? values[upper] : 0.5 * (values[upper - 1] + values[upper]);
 }
 
-void st_median_statistics(
-    const st_statistics *windows, int32_t count, double *sorted, st_statistics *medians)
+void st_median_statistics(const st_statistics *windows, int32_t count, double *sorted, st_statistics *medians)
 {
     medians->background_dn = 0.0;
     medians->noise_dn = 0.0;
@@ -195,20 +172,11 @@ void st_median_statistics(
     medians->noise_dn = median(sorted, count);
 }
 
-int32_t st_detect_in_windows(
-    const uint16_t *pixels,
-    const int32_t *offsets,
-    const st_rect *rects,
-    int32_t windows,
-    const int32_t *keep,
-    const double *expected_flux_dn,
-    const st_window_parameters *parameters,
-    st_window_room *room,
-    st_spot *spots,
-    int32_t *window_of,
-    uint8_t *status,
-    st_statistics *statistics,
-    int32_t *overflowed)
+int32_t st_detect_in_windows(const uint16_t *pixels, const int32_t *offsets, const st_rect *rects,
+                             int32_t windows, const int32_t *keep, const double *expected_flux_dn,
+                             const st_window_parameters *parameters, st_window_room *room, st_spot *spots,
+                             int32_t *window_of, uint8_t *status, st_statistics *statistics,
+                             int32_t *overflowed)
 {
     int32_t total = 0;
     *overflowed = 0;
@@ -228,8 +196,8 @@ int32_t st_detect_in_windows(
         st_window_clusters(&window, statistics + i, room);
         if (expected_flux_dn)
             expected = -2.5 * log10(expected_flux_dn[i] / parameters->limits->zero_point_dn);
-        status[i] = st_window_spots(
-            &window, rect, parameters, statistics + i, keep[i], expected, room, spots + total, &kept);
+        status[i] = st_window_spots(&window, rect, parameters, statistics + i, keep[i], expected, room,
+                                    spots + total, &kept);
         for (; kept > 0; kept--)
             window_of[total++] = i;
     }

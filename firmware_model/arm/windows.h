@@ -42,15 +42,12 @@ typedef struct {
 
 /* Runs of pixels whose 3 x 3 sum of DN is over limit; row_start[rows + 1]. The rim is mirrored. Returns their
  * number; the scan stops where capacity is reached. */
-int32_t st_smoothed_runs(
-    const st_image *window, int32_t limit, st_run *runs, int32_t capacity, int32_t *row_start);
+int32_t st_smoothed_runs(const st_image *window, int32_t limit, st_run *runs, int32_t capacity,
+                         int32_t *row_start);
 
 /* First third of a window's search: its statistics, and its runs to the room. */
-void st_window_runs(
-    const st_image *window,
-    const st_window_parameters *parameters,
-    st_window_room *room,
-    st_statistics *statistics);
+void st_window_runs(const st_image *window, const st_window_parameters *parameters, st_window_room *room,
+                    st_statistics *statistics);
 
 /* Second third: the room's runs to clusters. */
 void st_window_clusters(const st_image *window, const st_statistics *statistics, st_window_room *room);
@@ -58,38 +55,22 @@ void st_window_clusters(const st_image *window, const st_statistics *statistics,
 /* Last third: the room's clusters to spots, of which at most keep go to chosen, in the image's pixels, and
  * their number to kept; the brightest, or the nearest to expected_magnitude where keep is 1 and that is a
  * number. Returns the window's status. */
-int32_t st_window_spots(
-    const st_image *window,
-    const st_rect *rect,
-    const st_window_parameters *parameters,
-    const st_statistics *statistics,
-    int32_t keep,
-    double expected_magnitude,
-    st_window_room *room,
-    st_spot *chosen,
-    int32_t *kept);
+int32_t st_window_spots(const st_image *window, const st_rect *rect, const st_window_parameters *parameters,
+                        const st_statistics *statistics, int32_t keep, double expected_magnitude,
+                        st_window_room *room, st_spot *chosen, int32_t *kept);
 
 /* Median background and median noise of count (0: zeros) windows; sorted[count] is room. */
-void st_median_statistics(
-    const st_statistics *windows, int32_t count, double *sorted, st_statistics *medians);
+void st_median_statistics(const st_statistics *windows, int32_t count, double *sorted,
+                          st_statistics *medians);
 
 /* Spots of each window, by window: spots and the window of each; status and statistics of each window.
  * Window i is pixels[offsets[i]], row by row; offsets are even. keep[i]: spots it may give at most.
  * expected_flux_dn[i] (or a null pointer): not a number where unknown. Returns the number of spots;
  * overflowed: windows with more runs than max_runs. */
-int32_t st_detect_in_windows(
-    const uint16_t *pixels,
-    const int32_t *offsets,
-    const st_rect *rects,
-    int32_t windows,
-    const int32_t *keep,
-    const double *expected_flux_dn,
-    const st_window_parameters *parameters,
-    st_window_room *room,
-    st_spot *spots,
-    int32_t *window_of,
-    uint8_t *status,
-    st_statistics *statistics,
-    int32_t *overflowed);
+int32_t st_detect_in_windows(const uint16_t *pixels, const int32_t *offsets, const st_rect *rects,
+                             int32_t windows, const int32_t *keep, const double *expected_flux_dn,
+                             const st_window_parameters *parameters, st_window_room *room, st_spot *spots,
+                             int32_t *window_of, uint8_t *status, st_statistics *statistics,
+                             int32_t *overflowed);
 
 #endif

@@ -47,7 +47,7 @@ def build_kvector(ascending: FloatArray) -> KVector:
     return KVector(slope, offset, below)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def range_kernel(
     ascending: FloatArray, slope: float, offset: float, count_below: IntArray, lowest: float, highest: float
 ) -> tuple[int, int, int]:

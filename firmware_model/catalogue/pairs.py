@@ -122,7 +122,7 @@ def build_pair_catalogue(catalogue: StarCatalogue, max_angle_rad: float) -> Pair
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _pairs_kernel(
     unit_vectors: FloatArray,
     max_angle_rad: float,

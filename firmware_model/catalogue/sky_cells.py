@@ -65,7 +65,7 @@ def build_sky_cells(unit_vectors: FloatArray) -> SkyCells:
     return SkyCells(height, band_first_cell, cell_start, order)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def stars_in_cone_kernel(
     unit_vectors: FloatArray,
     band_height_rad: float,
@@ -125,7 +125,7 @@ def stars_in_cone_kernel(
     return count, tested
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def nearest_star_kernel(
     unit_vectors: FloatArray,
     band_height_rad: float,

@@ -157,7 +157,7 @@ def build_star_catalogue(
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _merge_kernel(
     unit_vectors: FloatArray,
     magnitudes: FloatArray,

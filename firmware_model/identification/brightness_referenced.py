@@ -126,7 +126,7 @@ def identify(
     return for_all_spikes(found, places, len(spikes)), work_of(counts)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _window_kernel(
     i: int, j: int, b: FloatArray, tolerance_rad: float, windows: _Windows, counts: CountArray
 ) -> None:
@@ -143,14 +143,14 @@ def _window_kernel(
     highest[i, j] = highest[j, i] = math.cos(max(0.0, angle - tolerance_rad))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _count_marks_kernel(stars: int, counts: CountArray) -> None:
     """What all marks so far are for a processor: a mark is a star's last entry and its pivot, two words."""
     counts[MARKS_STAMPED] = counts[CANDIDATES_MARKED]
     counts[MARKS_SCATTERED] = scattered_kernel(counts[CANDIDATES_MARKED], 2 * stars)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _mark_kernel(
     place: int,
     ends: int,
@@ -185,7 +185,7 @@ def _mark_kernel(
     return used
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _meet_kernel(
     place: int,
     ends: int,
@@ -265,7 +265,7 @@ def _meet_kernel(
     return NOTHING
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _group_kernel(
     pivot: int,
     left: int,
@@ -289,7 +289,7 @@ def _group_kernel(
     return size
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _search_kernel(
     b: FloatArray,
     magnitudes: FloatArray,
@@ -459,7 +459,7 @@ def _search_kernel(
     return NOTHING
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _longer(values: IntArray, used: int, room: int) -> IntArray:
     """The same values with room for at least so many more."""
     longer = np.empty(2 * (used + room), np.int32)

@@ -105,7 +105,7 @@ def identify(
     return for_all_spikes(found, places, len(spikes)), work
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def cast_votes_kernel(
     b: FloatArray,
     voted: int,
@@ -157,7 +157,7 @@ def cast_votes_kernel(
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def first_identities_kernel(votes_of_spot: IntArray, identity_star: IntArray, counts: CountArray) -> int:
     """Stars with the most votes of a spot, into identity_star; how many, 0 where the vote says nothing.
 
@@ -180,7 +180,7 @@ def first_identities_kernel(votes_of_spot: IntArray, identity_star: IntArray, co
     return found if found <= MOST_IDENTITIES else 0
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def runners_up_kernel(
     votes_of_spot: IntArray, most_identities: int, identity_star: IntArray, counts: CountArray
 ) -> int:
@@ -209,7 +209,7 @@ def runners_up_kernel(
     return found
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def identities_kernel(
     votes: IntArray,
     spots: int,
@@ -239,7 +239,7 @@ def identities_kernel(
     return identities
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def second_votes_kernel(
     identity_spot: IntArray,
     identity_star: IntArray,
@@ -284,7 +284,7 @@ def second_votes_kernel(
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def grow_cluster_kernel(
     seed: int,
     order: IntArray,
@@ -310,7 +310,7 @@ def grow_cluster_kernel(
     return members
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _same_solution(
     q: FloatArray, star_index: IntArray, other_q: FloatArray, other_index: IntArray, least_angle_rad: float
 ) -> bool:
@@ -324,7 +324,7 @@ def _same_solution(
     return 2.0 * math.sqrt(max(0.0, 2.0 * (1.0 - abs(turn)))) < least_angle_rad
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _voting_kernel(
     b: FloatArray,
     magnitudes: FloatArray,

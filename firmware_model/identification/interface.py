@@ -190,7 +190,7 @@ def usable_spikes(spikes: Spikes) -> tuple[Spikes, IntArray]:
     return Spikes(b[places], magnitudes[places]), places
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _usable_kernel(b: FloatArray, magnitudes: FloatArray, places: IntArray) -> int:
     """Write the places of the spikes that can be matched; returns how many there are."""
     usable = 0

@@ -109,7 +109,7 @@ def identify(
     return for_all_spikes(found, places, len(spikes)), work
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def feasible_kernel(
     pole_star_mag: float,
     neighbour_star_mag: float,
@@ -126,7 +126,7 @@ def feasible_kernel(
     return abs(neighbour_star_mag - neighbour_mag) < tolerance_mag
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def acceptance_kernel(
     pole: int,
     b: FloatArray,
@@ -232,7 +232,7 @@ def acceptance_kernel(
     return most + 1
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def recognised_kernel(one: IntArray, other: IntArray, recognised: IntArray, counts: CountArray) -> int:
     """Check phase (44)-(45): stars that two sets give to the same spikes, and how many they are."""
     number = 0
@@ -245,7 +245,7 @@ def recognised_kernel(one: IntArray, other: IntArray, recognised: IntArray, coun
     return number
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _next_pole(tried: npt.NDArray[np.bool_], accepted: IntArray, counts: CountArray) -> int:
     """The brightest spike not tried yet: of the accepted ones, else of all; -1 when there is none left."""
     brightest = -1
@@ -260,7 +260,7 @@ def _next_pole(tried: npt.NDArray[np.bool_], accepted: IntArray, counts: CountAr
     return brightest
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _same_attitude(one: FloatArray, other: FloatArray, spread_rad: float, tolerance_rad: float) -> bool:
     """Whether two attitudes are one within the tolerance; roll may differ by it over the spots' spread."""
     turn = abs(one[0] * other[0] + one[1] * other[1] + one[2] * other[2] + one[3] * other[3])
@@ -269,7 +269,7 @@ def _same_attitude(one: FloatArray, other: FloatArray, spread_rad: float, tolera
     return angle < 4.0 * tolerance_rad / min(1.0, max(spread_rad, 0.01))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _multi_poles_kernel(
     b: FloatArray,
     magnitudes: FloatArray,

@@ -101,7 +101,7 @@ def identify(
     return for_all_spikes(found, places, len(spikes)), work_of(counts)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _bounds_kernel(
     i: int,
     j: int,
@@ -123,7 +123,7 @@ def _bounds_kernel(
     highest[i, j] = highest[j, i] = math.cos(max(0.0, angle - tolerance_rad))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _side_kernel(
     i: int,
     j: int,
@@ -148,7 +148,7 @@ def _side_kernel(
     end[i, j] = end[j, i] = stop
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _fourth_kernel(
     spots: int,
     tried: tuple[int, int, int],
@@ -229,14 +229,14 @@ def _fourth_kernel(
     return fourth, star_fourth
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _count_scattered_kernel(stars: int, counts: CountArray) -> None:
     """Of all marks so far those not at hand: one for each star of a marked pair, two for each pair joined."""
     marks = counts[CANDIDATES_MARKED] // 2 + 2 * counts[PAIRS_JOINED]
     counts[MARKS_SCATTERED] = scattered_kernel(marks, stars)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _pyramid_kernel(
     b: FloatArray,
     magnitudes: FloatArray,

@@ -83,7 +83,7 @@ def best_identification(outcome: int, spots: int, solutions: Solutions) -> Ident
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def volume_kernel(u: FloatArray, i: int, j: int, k: int) -> float:
     """Triple product u_i . (u_j x u_k): its sign is the triangle's handedness."""
     volume: float = (
@@ -94,7 +94,7 @@ def volume_kernel(u: FloatArray, i: int, j: int, k: int) -> float:
     return volume
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def rival_kernel(
     kept: int, trial_index: IntArray, trial_q: FloatArray, solutions: Solutions, turn_rad: float
 ) -> bool:
@@ -111,7 +111,7 @@ def rival_kernel(
     return 2.0 * math.sqrt(max(0.0, 2.0 * (1.0 - abs(turn)))) >= turn_rad
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def judge_kernel(
     b: FloatArray,
     magnitudes: FloatArray,

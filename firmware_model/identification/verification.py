@@ -81,13 +81,13 @@ def work_of(counts: CountArray) -> Work:
     return Work({name: int(count) for name, count in zip(COUNT_NAMES, counts, strict=True) if count})
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def scattered_kernel(marks: int, words: int) -> int:
     """How many of so many marks, written or read anywhere in a table of so many words, are not at hand."""
     return marks - marks * min(words, MARKS_AT_HAND) // max(words, 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def exhausted_kernel(counts: CountArray, limit: FloatArray) -> bool:
     """Whether the work has reached its limit, which is `IdentificationParameters.work_limit`."""
     operations = 0
@@ -100,7 +100,7 @@ def exhausted_kernel(counts: CountArray, limit: FloatArray) -> bool:
     return exhausted
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def false_solutions_kernel(
     stars: int, spots: int, matched: int, spread_rad: float, tolerance_rad: float
 ) -> float:
@@ -122,7 +122,7 @@ def false_solutions_kernel(
     return math.exp(min(logarithm, 700.0))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def spread_kernel(b: FloatArray, count: int) -> float:
     """Largest angle of the first `count` directions from their mean, rad."""
     x = y = z = 0.0
@@ -139,7 +139,7 @@ def spread_kernel(b: FloatArray, count: int) -> float:
     return math.acos(max(-1.0, smallest))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def separation_kernel(cos_angle: FloatArray) -> float:
     """Angle of the closest pair of a pair catalogue's ascending cosines, rad; 0 if there is none."""
     if len(cos_angle) == 0:
@@ -147,7 +147,7 @@ def separation_kernel(cos_angle: FloatArray) -> float:
     return math.acos(min(1.0, cos_angle[-1]))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def match_spots_kernel(
     b: FloatArray,
     q: FloatArray,
@@ -242,7 +242,7 @@ def match_spots_kernel(
     return matched
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def refine_kernel(
     b: FloatArray, unit_vectors: FloatArray, star_index: IntArray, q: FloatArray, counts: CountArray
 ) -> int:
@@ -265,7 +265,7 @@ def refine_kernel(
     return matched
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def sort_kernel(values: FloatArray, count: int) -> None:
     """Sort the first `count` values in place, by insertion: there are few."""
     for i in range(1, count):
@@ -277,7 +277,7 @@ def sort_kernel(values: FloatArray, count: int) -> None:
         values[place] = value
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def expected_kernel(
     q: FloatArray,
     normals: FloatArray,
@@ -360,7 +360,7 @@ def expected_kernel(
     return expected, seen
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def odd_brightness_kernel(
     magnitudes: FloatArray,
     hp_mag: npt.NDArray[np.float32],
@@ -389,7 +389,7 @@ def odd_brightness_kernel(
     return odd
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def verify_kernel(
     b: FloatArray,
     magnitudes: FloatArray,

@@ -17,7 +17,7 @@ NOISE_SAMPLES = 4096
 PAIR_DISTANCE_PX = 4
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def frame_samples(image: NDArray[np.uint16]) -> int:
     """How many pairs of its pixels ``frame_statistics`` takes."""
     rows, columns = image.shape
@@ -25,7 +25,7 @@ def frame_samples(image: NDArray[np.uint16]) -> int:
     return min(NOISE_SAMPLES, total)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def frame_statistics(image: NDArray[np.uint16]) -> tuple[float, float, int]:
     """Background (DN), noise of a pixel (DN, 1 sigma) and the samples looked at in all passes.
 
@@ -80,7 +80,7 @@ def frame_statistics(image: NDArray[np.uint16]) -> tuple[float, float, int]:
     return (level / kept if kept else median), noise, passes * count
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def window_statistics(window: NDArray[np.uint16], scratch: NDArray[np.float64]) -> tuple[float, float, int]:
     """Background and noise (DN, 1 sigma) of a detection window, and the number of passes over its pixels.
 
@@ -127,14 +127,14 @@ def window_statistics(window: NDArray[np.uint16], scratch: NDArray[np.float64]) 
     return level, sigma, passes
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def window_samples(size: int, columns: int) -> int:
     """How many of a window's ``size`` pixels the medians of ``window_statistics`` are of, at most 256."""
     step = _sample_step(size, columns)
     return (size + step - 1) // step
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _sample_step(size: int, columns: int) -> int:
     step = (size + 255) // 256
     if step > 1 and columns % step == 0:

@@ -83,7 +83,7 @@ RING_GAP_PX = 1
 RING_WIDTH_PX = 3
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _paint(
     mask: NDArray[np.uint8],
     left: int,
@@ -116,7 +116,7 @@ def _paint(
                     mask[y, x] |= mark
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _ring_background(
     image: NDArray[np.uint16],
     mask: NDArray[np.uint8],
@@ -155,19 +155,19 @@ def _ring_background(
     return level
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _place(px: float) -> float:
     return math.floor(px * PLACES_PER_PX + 0.5) / PLACES_PER_PX
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _half_width(centre: float, first: float, last: float, nominal: float, grow: float) -> float:
     """Half-width of the window along one axis: the nominal one, or what holds the cluster."""
     extent = max(centre - (first - 0.5), (last + 0.5) - centre)
     return max(nominal, extent + grow)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def measure_spots(
     image: NDArray[np.uint16],
     runs: NDArray[np.int32],

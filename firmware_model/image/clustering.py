@@ -26,7 +26,7 @@ PIXELS, SUM, SUM_X, SUM_Y, PEAK, BACKGROUND, FIRST_X, LAST_X, FIRST_Y, LAST_Y = 
 CLUSTER_FIELDS = 10
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def threshold_scan(
     image: NDArray[np.uint16],
     background_dn: float,
@@ -119,7 +119,7 @@ def threshold_scan(
     return count, False, looked_at
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _root(parent: NDArray[np.int32], run: int) -> int:
     while parent[run] != run:
         parent[run] = parent[parent[run]]  # path halving
@@ -127,7 +127,7 @@ def _root(parent: NDArray[np.int32], run: int) -> int:
     return run
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def join_runs(
     runs: NDArray[np.int32], count: int, row_start: NDArray[np.int32], label: NDArray[np.int32]
 ) -> tuple[int, int]:
@@ -169,7 +169,7 @@ def join_runs(
     return clusters, unions
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def sum_clusters(
     image: NDArray[np.uint16],
     runs: NDArray[np.int32],

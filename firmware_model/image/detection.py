@@ -93,7 +93,7 @@ class DetectionParameters:
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _detect(
     image: NDArray[np.uint16],
     sigma_factor: float,

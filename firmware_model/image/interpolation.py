@@ -126,7 +126,7 @@ def interpolation_errors(sigma_px: float, half_height_px: int = HALF_HEIGHT_PX) 
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def offset_from_ratio(first: float, second: float, terms: InterpolationTerms) -> float:
     """The star's place from the middle of column I2 = ``second``, px, positive away from I1 = ``first``.
 
@@ -146,7 +146,7 @@ def offset_from_ratio(first: float, second: float, terms: InterpolationTerms) ->
     return DEVELOPED_AT_PX - 2.0 * c / divisor
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def has_place(before: float, middle: float, after: float, terms: InterpolationTerms) -> bool:
     """Whether three columns can be those of a spot of the unit's width: then (6) is worth solving."""
     larger = max(before, after)
@@ -156,7 +156,7 @@ def has_place(before: float, middle: float, after: float, terms: InterpolationTe
     return middle * middle >= terms.least_square_ratio * larger * max(smaller, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def place_on_axis(before: float, middle: float, after: float, terms: InterpolationTerms) -> float:
     """The star's place from the middle of three columns, px: (6) with the larger neighbour; 1e9: none.
 
@@ -170,7 +170,7 @@ def place_on_axis(before: float, middle: float, after: float, terms: Interpolati
     return x if before >= after else -x
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def interpolate(
     image: NDArray[np.uint16],
     mask: NDArray[np.uint8],

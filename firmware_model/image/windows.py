@@ -26,7 +26,7 @@ _FAINT = int(WindowStatus.FAINT)
 _REJECTED = int(WindowStatus.REJECTED)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def smoothed_runs(
     window: NDArray[np.uint16],
     limit: int,
@@ -69,7 +69,7 @@ def smoothed_runs(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _detect_in_windows(
     flat: NDArray[np.uint16],
     offsets: NDArray[np.int64],
@@ -168,7 +168,7 @@ def _detect_in_windows(
     return chosen[:total], window_of[:total]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(nogil=True)
 def _worst_status(
     outcome: NDArray[np.int8],
     table: NDArray[np.float64],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +22,8 @@ from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import Work
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import identification as binding
-from tools.calibration.steps.identification import place_packed
+from tools.calibration.steps.identification_others import place_brightness_parameters
+from tools.calibration.struct_layout import layout_of, place_struct, read_struct, reserve_structs
 
 MOST_PIVOTS = 1 << 30  # brightness_referenced.c: where the numbers start again
 
@@ -95,27 +95,31 @@ def run_with(
 ) -> tuple[int, Identification, int]:
     """(returned, found, number of the last pivot) with a mark table as another image left it."""
     tables, parameters = sky(scene.name).tables, scene.parameters
-    brightness = parameters.brightness
-    table = place_packed(
-        machine, "IIii", machine.place(marks), machine.reserve(12 * entries), entries, pivots
+    bright_limit_mag = parameters.brightness.bright_limit_mag
+    columns = dict(zip(("head", "pivot"), marks.T, strict=True))
+    table = place_struct(
+        machine,
+        "st_brightness_marks",
+        mark=machine.place(layout_of(machine, "st_brightness_mark").pack_array(len(marks), **columns)),
+        entry=reserve_structs(machine, "st_brightness_entry", entries),
+        entries=entries,
+        pivots=pivots,
     )
-    found, star_index = machine.reserve(56), machine.reserve(4 * len(scene.spikes))
+    found, star_index = reserve_structs(machine, "st_identification"), machine.reserve(4 * len(scene.spikes))
     call = machine.call(
         "st_identify_brightness_referenced",
         binding.place_spikes(machine, scene.spikes),
         binding.place_star_table(machine, tables.catalogue),
         binding.place_pair_table(machine, tables.pairs),
-        binding.place_pair_table(machine, tables.reference_pairs(brightness.bright_limit_mag)),
+        binding.place_pair_table(machine, tables.reference_pairs(bright_limit_mag)),
         binding.place_limits(machine, parameters, tables.pairs),
-        place_packed(
-            machine, "ddi4x", brightness.distinct_mag, brightness.bright_limit_mag, parameters.max_spots
-        ),
+        place_brightness_parameters(machine, parameters),
         table,
         found,
         star_index,
     )
     identification = binding.read_identification(machine, found, star_index, len(scene.spikes))
-    (last,) = struct.unpack("<i", machine.read(table + 12, np.uint8, 4).tobytes())
+    last = int(read_struct(machine, "st_brightness_marks", table)["pivots"])
     machine.release()
     return call.result, identification, last
 

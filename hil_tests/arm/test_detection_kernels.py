@@ -27,6 +27,7 @@ from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import detection as binding
 from tools.calibration.steps.detection import DetectionRun, compare, run_detection
 from tools.calibration.steps.step import MismatchError
+from tools.calibration.struct_layout import layout_of, place_struct, read_structs, reserve_structs
 
 Image = NDArray[np.uint16]
 SHARED_MACHINE = settings(
@@ -174,12 +175,12 @@ def test_places_of_drawn_stars(machine: ArmMachine) -> None:
     )
 )
 def test_statistics_are_those_of_python_to_the_bit(machine: ArmMachine, image: Image) -> None:
-    picture = binding._place_packed(machine, "Iii", machine.place(image), *image.shape)
-    out = machine.reserve(16)
+    picture = binding.place_image(machine, machine.place(image), image.shape)
+    out = reserve_structs(machine, "st_statistics")
     machine.call("st_frame_statistics", picture, out)
-    found = machine.read(out, np.float64, 2).tolist()
+    found = binding.read_statistics(machine, out)
     machine.release()
-    assert found == list(frame_statistics(image)[:2])
+    assert found == frame_statistics(image)[:2]
 
 
 @SHARED_MACHINE
@@ -235,15 +236,16 @@ def test_a_run_over_many_blocks(machine: ArmMachine) -> None:
 
 def test_equal_fluxes_stay_in_their_order(machine: ArmMachine) -> None:
     fluxes = np.random.default_rng(2).integers(1, 9, 200).astype(np.float64)
-    spots = np.zeros(200, binding.SPOT)
+    spots = np.zeros(200, layout_of(machine, "st_spot").dtype)
     spots["flux_dn"], spots["pixels"] = fluxes, np.arange(200)
     for count, most in ((200, 200), (200, 17), (1, 1), (0, 5), (3, 3)):
-        ordered = machine.reserve(binding.SPOT.itemsize * count)
+        ordered = reserve_structs(machine, "st_spot", count)
         order = machine.reserve(8 * count)
         call = machine.call("st_order_spots", machine.place(spots[:count]), count, most, order, ordered)
         expected = np.argsort(-fluxes[:count], kind="stable")[:most]
         assert call.result == len(expected)
-        assert machine.read(ordered, binding.SPOT, len(expected))["pixels"].tolist() == expected.tolist()
+        found = read_structs(machine, "st_spot", ordered, len(expected))
+        assert found["pixels"].tolist() == expected.tolist()
         machine.release()
 
 
@@ -381,10 +383,20 @@ def test_counts_predict_the_core_cycles_of_each_stage(machine: ArmMachine) -> No
 def test_the_threshold_scan_takes_few_cycles_a_pixel(machine: ArmMachine) -> None:
     """A word at a time with the moving average: a trial of such a loop took 3.3 core cycles a pixel."""
     image = np.random.default_rng(1).normal(60, 2, (480, 752)).clip(0, 1023).astype(np.uint16)
-    picture = binding._place_packed(machine, "Iii", machine.place(image), *image.shape)
-    threshold = binding._place_packed(machine, "2d4i", 60.0, 12.0, 256, 100, 10, 0)
-    tables = [machine.reserve(nbytes) for nbytes in (1200, 400, 4 * 481, 8 * 24)]
-    call = machine.call("st_threshold_scan", picture, threshold, *tables)
+    picture = binding.place_image(machine, machine.place(image), image.shape)
+    threshold = place_struct(
+        machine,
+        "st_threshold",
+        background_dn=60.0,
+        over_dn=12.0,
+        average_pixels=256,
+        capacity=100,
+        bits=10,
+        reserved=0,
+    )
+    runs = reserve_structs(machine, "st_run", 100)
+    tables = [machine.reserve(nbytes) for nbytes in (400, 4 * 481, 8 * 24)]
+    call = machine.call("st_threshold_scan", picture, threshold, runs, *tables)
     assert call.result < 100
     assert call.cost.core_cycles / image.size == pytest.approx(3.6, abs=0.3)
     # every pixel comes from memory once: 16 in a line

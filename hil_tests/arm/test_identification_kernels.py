@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import replace
 from functools import cache
 
@@ -21,10 +20,11 @@ from st_emulator.firmware_model.identification import solutions, verification
 from st_emulator.firmware_model.identification.interface import Spikes
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import identification as binding
-from tools.calibration.steps.identification import place_packed
+from tools.calibration.struct_layout import layout_of, place_struct, read_struct
 
 Array = NDArray[np.float64]
-EMPTY = (0.0, 0.0, 0.0, 0.0, math.inf, 0, 0, 0, 0, 0)  # an st_solution
+EMPTY = {"q": np.zeros((2, 4)), "chance": [math.inf] * 2}  # members of two st_solution
+EMPTY |= {name: [0, 0] for name in ("matched", "expected", "seen", "rivals")}
 
 
 def pairs_of(cosines: Array) -> PairCatalogue:
@@ -279,9 +279,8 @@ def test_trials_are_judged_as_in_python(machine: ArmMachine, certain: float) -> 
         )
         limits = binding.place_limits(machine, parameters, tables.pairs)
         rows = [machine.reserve(4 * spots) for _ in range(2)]
-        placed = place_packed(machine, "5d4iI4x5d4iI4x", *(2 * [*EMPTY]))
-        for place, row in enumerate(rows):
-            machine.write(placed + 64 * place + 56, np.array([row], np.uint32))
+        kept_in_c = layout_of(machine, "st_solution").pack_array(2, **EMPTY, star_index=rows)
+        placed = place_struct(machine, "st_solutions", kept=kept_in_c)
         machine.call("st_no_solutions", placed, spots)
         for _ in range(12):
             trial = np.full(spots, -1, np.int32)
@@ -298,11 +297,11 @@ def test_trials_are_judged_as_in_python(machine: ArmMachine, certain: float) -> 
             outcomes.add(int(judged))
             np.testing.assert_array_equal(machine.read(address, np.int32, spots), trial)
             for place in range(2):
-                solution = machine.read(placed + 64 * place, np.uint8, 64).tobytes()
-                *q, chance, matched, expected, found, rivals, _ = struct.unpack("<5d4iI4x", solution)
-                np.testing.assert_allclose(q, kept[1][place], atol=1e-11)
-                assert (matched, expected, found, rivals) == tuple(kept[2][place])
-                assert chance == pytest.approx(kept[3][place], rel=1e-9)
+                found = read_struct(machine, "st_solutions", placed)["kept"][place]
+                np.testing.assert_allclose(found["q"], kept[1][place], atol=1e-11)
+                numbers = [found[name] for name in ("matched", "expected", "seen", "rivals")]
+                assert numbers == kept[2][place].tolist()
+                assert found["chance"] == pytest.approx(kept[3][place], rel=1e-9)
                 stars_kept = machine.read(rows[place], np.int32, spots)
                 np.testing.assert_array_equal(stars_kept, kept[0][place])
         machine.release()
@@ -313,7 +312,17 @@ def test_a_rival(machine: ArmMachine) -> None:
     """A rival is another star for a spike, or a turn over the limit; less than that is the same solution."""
     q = np.array([0.0, 0.0, 0.0, 1.0])
     index = np.array([5, -1, 7, 9], np.int32)
-    kept = place_packed(machine, "5d4iI4x", *q, 1e-8, 3, 0, 0, 0, machine.place(index))
+    kept = place_struct(
+        machine,
+        "st_solution",
+        q=q,
+        chance=1e-8,
+        matched=3,
+        expected=0,
+        seen=0,
+        rivals=0,
+        star_index=machine.place(index),
+    )
 
     def rival(trial: list[int], turn_rad: float) -> int:
         turned = Rotation.from_rotvec([turn_rad, 0.0, 0.0]).as_quat()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +25,8 @@ from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import Work
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import identification as binding
-from tools.calibration.steps.identification import place_packed
+from tools.calibration.steps.identification_others import place_poles_parameters
+from tools.calibration.struct_layout import layout_of, place_struct, read_struct, reserve_structs
 
 MOST_NUMBERS = 1 << 30  # multi_poles.c: where the numbers start again
 
@@ -140,30 +140,31 @@ def run_with(
 ) -> tuple[int, Identification, int]:
     """(returned, found, next number) with a mark table as another image left it."""
     tables, parameters = sky(scene.name).tables, scene.parameters
-    poles, spikes = parameters.multi_poles, len(scene.spikes)
-    table = place_packed(
+    spikes = len(scene.spikes)
+    columns = dict(zip(("last_voter", "head", "votes"), marks.T, strict=True))
+    table = place_struct(
         machine,
-        "IIiiI",
-        machine.place(marks),
-        machine.reserve(16 * entries),
-        entries,
-        base,
-        machine.reserve(4 * spikes**2),
+        "st_poles_marks",
+        mark=machine.place(layout_of(machine, "st_poles_mark").pack_array(len(marks), **columns)),
+        entry=reserve_structs(machine, "st_poles_entry", entries),
+        entries=entries,
+        base=base,
+        sets=machine.reserve(4 * spikes**2),
     )
-    found, star_index = machine.reserve(56), machine.reserve(4 * spikes)
+    found, star_index = reserve_structs(machine, "st_identification"), machine.reserve(4 * spikes)
     call = machine.call(
         "st_identify_multi_poles",
         binding.place_spikes(machine, scene.spikes),
         binding.place_star_table(machine, tables.catalogue),
         binding.place_pair_table(machine, tables.pairs),
         binding.place_limits(machine, parameters, tables.pairs),
-        place_packed(machine, "di4x", poles.magnitude_tolerance, poles.least_recognised),
+        place_poles_parameters(machine, parameters),
         table,
         found,
         star_index,
     )
     identification = binding.read_identification(machine, found, star_index, spikes)
-    (following,) = struct.unpack("<i", machine.read(table + 12, np.uint8, 4).tobytes())
+    following = int(read_struct(machine, "st_poles_marks", table)["base"])
     machine.release()
     return call.result, identification, following
 

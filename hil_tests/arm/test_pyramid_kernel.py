@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +20,7 @@ from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import identification as binding
 from tools.calibration.steps.identification import IdentifyStep, pyramid_kernel, unlimited
 from tools.calibration.steps.step import MismatchError, StageRun
+from tools.calibration.struct_layout import place_struct, read_struct, reserve_structs
 
 LINE_FILL_CYCLES = 48.0
 
@@ -99,17 +99,17 @@ def marks_at(machine: ArmMachine, scene: Scene, base: int) -> tuple[Identificati
     """The scene identified with the mark table's numbers starting at `base`; and where they end."""
     tables, parameters = sky(scene.name).tables, unlimited(scene.parameters)
     entries = 2 * len(tables.pairs)
-    marks = binding.place_packed(
+    marks = place_struct(
         machine,
-        "IIIii",
+        "st_pyramid_marks",
         # old marks everywhere, all of numbers below the base
-        machine.place(np.random.default_rng(0).integers(0, base, len(tables.catalogue), dtype=np.int32)),
-        machine.reserve(4 * entries),
-        machine.reserve(4 * entries),
-        entries,
-        base,
+        head=machine.place(np.random.default_rng(0).integers(0, base, len(tables.catalogue), dtype=np.int32)),
+        partner=machine.reserve(4 * entries),
+        chain=machine.reserve(4 * entries),
+        entries=entries,
+        base=base,
     )
-    found, star_index = machine.reserve(56), machine.reserve(4 * len(scene.spikes))
+    found, star_index = reserve_structs(machine, "st_identification"), machine.reserve(4 * len(scene.spikes))
     machine.call(
         "st_identify_pyramid",
         binding.place_spikes(machine, scene.spikes),
@@ -121,7 +121,7 @@ def marks_at(machine: ArmMachine, scene: Scene, base: int) -> tuple[Identificati
         found,
         star_index,
     )
-    (end,) = struct.unpack("<i", machine.read(marks + 16, np.uint8, 4).tobytes())
+    end = int(read_struct(machine, "st_pyramid_marks", marks)["base"])
     identification = binding.read_identification(machine, found, star_index, len(scene.spikes))
     machine.release()
     return identification, end

@@ -40,6 +40,7 @@ from tools.calibration.steps.link_rounds import (
 )
 from tools.calibration.steps.step import MismatchError
 from tools.calibration.steps.telemetry import STEPS
+from tools.calibration.struct_layout import layout_of, read_structs, reserve_structs
 
 (TELEMETRY,) = STEPS
 SHARED_MACHINE = settings(
@@ -48,7 +49,6 @@ SHARED_MACHINE = settings(
 FILE = Path(__file__).parents[1] / "vectors" / "golden_packets.json"
 GOLDEN = {vector["name"]: vector for vector in json.loads(FILE.read_text())["vectors"]}
 HEADER_BYTES, PART_HEADER_BYTES = 20, 4
-SLIP_STATE_BYTES = 1024 + 16  # st_slip_decoder
 
 U16, U32 = st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)
 FLAG = st.integers(0, 1)
@@ -333,19 +333,22 @@ def test_every_reason_is_found(machine: ArmMachine) -> None:
 @SHARED_MACHINE
 @given(lines(), st.lists(st.integers(1, 60), max_size=8))
 def test_the_line_may_be_cut_anywhere(machine: ArmMachine, line: bytes, sizes: Sequence[int]) -> None:
-    decoder, found = machine.reserve(SLIP_STATE_BYTES), machine.reserve(28 * 40)
+    decoder = reserve_structs(machine, "st_slip_decoder")
+    found = reserve_structs(machine, "st_telecommand", 40)
+    nbytes = layout_of(machine, "st_telecommand").nbytes
     whole = machine.place(np.frombuffer(line, np.uint8))
     number = start = 0
     for size in (*sizes, len(line)):
         part = min(size, len(line) - start)
         number += machine.call(
-            "st_telecommands", decoder, whole + start, part, APID, found + 28 * number, 40 - number
+            "st_telecommands", decoder, whole + start, part, APID, found + nbytes * number, 40 - number
         ).result
         start += part
-    reasons = machine.read(found, np.int32, (number, 7))[:, :2].tolist()
+    received = read_structs(machine, "st_telecommand", found, number)
     machine.release()
     expected = record_of(LinkRound(line=line)).result.telecommands
-    assert reasons == [[one.reason, one.length] for one in expected]
+    assert received["reason"].tolist() == [one.reason for one in expected]
+    assert received["length"].tolist() == [one.length for one in expected]
 
 
 def test_a_wrong_byte_would_be_seen(machine: ArmMachine) -> None:

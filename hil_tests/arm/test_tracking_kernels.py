@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +23,7 @@ from hil_tests.firmware_model.synthetic_sky import (
     turned,
     vectors_of,
 )
+from st_emulator.firmware_model import tracking
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.geometry import CameraGeometry
 from st_emulator.firmware_model.image.spots import Spots, WindowSpots
@@ -33,8 +35,11 @@ from st_emulator.firmware_model.tracking import (
     verify_by_pivot,
 )
 from tools.arm_timing.machine import ArmMachine
+from tools.calibration.compiler import KERNELS
 from tools.calibration.steps import tracking as binding
 from tools.calibration.steps.step import MismatchError
+from tools.calibration.steps.windows import read_rects
+from tools.calibration.struct_layout import reserve_structs
 
 Array = NDArray[np.float64]
 CAMERA = CameraGeometry(512, 512, 1440.0)
@@ -220,11 +225,11 @@ def test_merged_windows_hold_their_stars_and_touch_no_other(
 ) -> None:
     x, y = np.array(places, np.float64).reshape(-1, 2).T.copy()
     stars = len(x)
-    rects, window = machine.reserve(16 * stars), machine.reserve(4 * stars)
+    rects, window = reserve_structs(machine, "st_rect", stars), machine.reserve(4 * stars)
     number = machine.call(
         "st_merge_windows", machine.place(x), machine.place(y), stars, half, 100, 80, rects, window
     ).result
-    found = machine.read(rects, np.int32, (number, 4))
+    found = read_rects(machine, rects, number)
     of_star = machine.read(window, np.int32, stars)
     machine.release()
     column, row = np.floor(x + 0.5).astype(int), np.floor(y + 0.5).astype(int)
@@ -434,3 +439,15 @@ def test_tracking_costs_what_its_counts_say(machine: ArmMachine) -> None:
     large = cycles > 20_000
     assert errors[large].max() < 0.1
     assert large.sum() > 30
+
+
+def test_the_python_verification_has_the_parts_of_its_twin() -> None:
+    """So that one can be read beside the other: the functions of tracking.c's verification, in its order."""
+    text = (KERNELS / "tracking.c").read_text(encoding="utf-8")
+    parts = re.findall(
+        r"^(?:static )?\w+ (\w+)\([^;]*?\)\n\{", text[text.index("static double chord_square") :], re.M
+    )
+    assert parts == ["chord_square", "chord_bounds", "forget", "try_pivot", "st_verify_by_pivot"]
+    kernels = [f"_{name}" for name in parts[:-1]] + ["_verify_kernel"]
+    lines = [getattr(tracking, name).py_func.__code__.co_firstlineno for name in kernels]
+    assert lines == sorted(lines)

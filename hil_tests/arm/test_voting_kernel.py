@@ -20,7 +20,7 @@ from st_emulator.firmware_model.reasons import Reason
 from st_emulator.firmware_model.work import Work
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import identification as binding
-from tools.calibration.steps.identification import place_packed
+from tools.calibration.struct_layout import place_struct, reserve_structs
 
 KINDS: dict[str, SceneMaker] = {
     **SCENES,
@@ -75,8 +75,10 @@ def run_with(
 ) -> tuple[int, Identification]:
     """(returned, found) with a room to work in that holds these."""
     tables, parameters = sky(scene.name).tables, scene.parameters
-    room = place_packed(machine, "IIi", machine.place(votes), machine.place(fits), len(fits))
-    found, star_index = machine.reserve(56), machine.reserve(4 * len(scene.spikes))
+    room = place_struct(
+        machine, "st_voting_room", votes=machine.place(votes), fits=machine.place(fits), words=len(fits)
+    )
+    found, star_index = reserve_structs(machine, "st_identification"), machine.reserve(4 * len(scene.spikes))
     call = machine.call(
         "st_identify_geometric_voting",
         binding.place_spikes(machine, scene.spikes),

@@ -23,9 +23,9 @@ from st_emulator.firmware_model.image.windows import detect_in_windows, smoothed
 from st_emulator.firmware_model.work import COUNTS
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.steps import windows as binding
-from tools.calibration.steps.detection import SPOT, spots_of_structs
+from tools.calibration.steps.detection import place_image, read_runs, read_statistics, spots_of_structs
 from tools.calibration.steps.step import MismatchError
-from tools.calibration.steps.tracking import place_packed
+from tools.calibration.struct_layout import read_structs, reserve_structs
 
 Image = NDArray[np.uint16]
 ROWS, COLUMNS = 300, 400
@@ -39,15 +39,15 @@ SHARED_MACHINE = settings(
 
 
 def placed_image(machine: ArmMachine, window: Image) -> int:
-    return place_packed(machine, "Iii", machine.place(window), *window.shape)
+    return place_image(machine, machine.place(window), window.shape)
 
 
 def statistics(machine: ArmMachine, window: Image) -> tuple[float, float]:
-    out = machine.reserve(16)
+    out = reserve_structs(machine, "st_statistics")
     machine.call("st_window_statistics", placed_image(machine, window), out)
-    background, noise = machine.read(out, np.float64, 2)
+    found = read_statistics(machine, out)
     machine.release()
-    return float(background), float(noise)
+    return found
 
 
 def sky(
@@ -153,9 +153,9 @@ def test_statistics_by_hand(machine: ArmMachine) -> None:
 def runs_of(machine: ArmMachine, window: Image, limit: int, capacity: int) -> list[list[int]]:
     """Runs as rows (row, first, end), after a look at the starts of the rows."""
     rows = len(window)
-    runs, starts = machine.reserve(12 * capacity), machine.reserve(4 * (rows + 1))
+    runs, starts = reserve_structs(machine, "st_run", capacity), machine.reserve(4 * (rows + 1))
     call = machine.call("st_smoothed_runs", placed_image(machine, window), limit, runs, capacity, starts)
-    found = machine.read(runs, np.int32, (call.result, 3))
+    found = read_runs(machine, runs, call.result)
     begins = machine.read(starts, np.int32, rows + 1)
     machine.release()
     if call.result < capacity:
@@ -191,10 +191,10 @@ def test_the_scan_stops_where_the_table_of_runs_is_full(machine: ArmMachine) -> 
     window[1::4, 1::5] = 500
     runs, starts = np.zeros((9, 3), np.int32), np.zeros(13, np.int32)
     count = smoothed_runs(window, 400, runs, starts, np.empty(40, np.int32))
-    place, begins = machine.reserve(12 * 9), machine.reserve(4 * 13)
+    place, begins = reserve_structs(machine, "st_run", 9), machine.reserve(4 * 13)
     call = machine.call("st_smoothed_runs", placed_image(machine, window), 400, place, 9, begins)
     assert call.result == count == 9
-    assert machine.read(place, np.int32, (9, 3)).tolist() == runs.tolist()
+    assert read_runs(machine, place, 9).tolist() == runs.tolist()
     assert machine.read(begins, np.int32, 13).tolist() == starts.tolist()
 
 
@@ -274,14 +274,14 @@ def whole(machine: ArmMachine, arguments: dict[str, Any], expected_flux_dn: Any 
     pixels, starts = binding.padded(arguments["flat"], arguments["offsets"])
     limits, room_bytes = binding.place_window_parameters(machine, parameters, COLUMNS, ROWS)
     most = int(keep.sum())
-    spots, window_of = machine.reserve(SPOT.itemsize * most), machine.reserve(4 * most)
-    status, levels = machine.reserve(windows), machine.reserve(16 * windows)
-    overflowed, medians = machine.reserve(4), machine.reserve(16)
+    spots, window_of = reserve_structs(machine, "st_spot", most), machine.reserve(4 * most)
+    status, levels = machine.reserve(windows), reserve_structs(machine, "st_statistics", windows)
+    overflowed, medians = machine.reserve(4), reserve_structs(machine, "st_statistics")
     call = machine.call(
         "st_detect_in_windows",
         machine.place(pixels),
         machine.place(starts),
-        machine.place(rects),
+        binding.place_rects(machine, rects),
         windows,
         machine.place(keep),
         0 if expected_flux_dn is None else machine.place(np.asarray(expected_flux_dn, np.float64)),
@@ -294,20 +294,20 @@ def whole(machine: ArmMachine, arguments: dict[str, Any], expected_flux_dn: Any 
         overflowed,
     )
     machine.call("st_median_statistics", levels, windows, machine.reserve(8 * windows), medians)
-    level, noise = machine.read(medians, np.float64, 2)
-    both = machine.read(levels, np.float64, (windows, 2))
+    level, noise = read_statistics(machine, medians)
+    of_windows = read_structs(machine, "st_statistics", levels, windows)
     found = WindowSpots(
         spots_of_structs(
-            machine.read(spots, SPOT, call.result),
+            read_structs(machine, "st_spot", spots, call.result),
             Rejections(),
-            float(level),
-            float(noise),
+            level,
+            noise,
             bool(machine.read(overflowed, np.int32, 1)[0]),
         ),
         machine.read(window_of, np.int32, call.result),
         machine.read(status, np.uint8, windows),
-        both[:, 0],
-        both[:, 1],
+        of_windows["background_dn"],
+        of_windows["noise_dn"],
     )
     machine.release()
     return found

@@ -157,7 +157,18 @@ def test_a_bus_dialect_on_a_serial_line(project):
         project,
         "st-emulator: my_unit.toml: wire.dialect: bus has no serial line",
         "allowed is a link that is a CAN bus (can:INTERFACE/CHANNEL)",
+        link="pty",
     )
+
+
+def test_an_option_that_is_wrong(project):
+    change(project / "my_unit.toml", CHOSEN, "")
+    refused(
+        project,
+        "st-emulator: --dialect: there is no module definitions in package my_dialect",
+        more=("--dialect", "my_dialect.definitions:DIALECT"),
+    )
+    refused(project, "st-emulator: --dialect: found 'sagita'; allowed are pus", more=("--dialect", "sagita"))
 
 
 def test_a_scenario_of_other_telecommands(project):

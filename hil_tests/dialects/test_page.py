@@ -79,6 +79,7 @@ def test_the_commands(tmp_path):
     assert "1 passed" in ended.stdout
     assert "differences" in ended.stdout
     assert "3 telecommands" in ended.stderr
+    assert "arcsec from the truth" in ended.stdout
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ AUTONOMOUS_START    .      .      LIS     .       .       .      .
 ATTITUDE_ACQUIRED   .      .      .       TRACK   .       .      .
 TRACKING_LOST       .      .      .       .       LIS     .      .
 FAULT_DETECTED      FAULT  FAULT  FAULT   FAULT   FAULT   .      .
+POWER_OFF           OFF    OFF    OFF     OFF     OFF     OFF    .
 """
 SHORT = {
     "BOOT": Mode.BOOT,
@@ -52,7 +53,7 @@ def test_the_picture_holds_every_event_and_mode() -> None:
 
 def test_the_numbers_are_those_of_the_telemetry() -> None:
     assert [mode.value for mode in Mode] == [0, 1, 2, 3, 4, 5, 6]
-    assert [event.value for event in ModeEvent] == list(range(15))
+    assert [event.value for event in ModeEvent] == list(range(16))
     names = "TOO_FEW_STARS NO_MATCH BLINDED RATE_TOO_HIGH OVERRUN NOT_ACQUIRING FRAME_DROPPED PIVOT_LOST "
     names += "RESIDUAL_TOO_LARGE AMBIGUOUS WORK_LIMIT NO_FRAME TOO_MANY_SPOTS UNCONFIRMED"
     assert {name: 1 << bit for bit, name in enumerate(names.split())} == {r.name: r.value for r in Reason}
@@ -64,6 +65,13 @@ def test_every_row_is_there_once_and_says_what_it_means() -> None:
     assert all(row.meaning for row in TRANSITIONS)
     assert set(MODE_MEANINGS) == set(Mode)
     assert set(REASON_MEANINGS) == set(Reason)
+
+
+def test_what_is_announced() -> None:
+    """Every change but the end of the boot, which has a report of its own, and those into silence."""
+    silent = {row for row in TRANSITIONS if row.next_mode in (Mode.BOOT, Mode.OFF)}
+    boot_done = {row for row in TRANSITIONS if row.event is ModeEvent.BOOT_DONE}
+    assert {row for row in TRANSITIONS if not row.announced} == silent | boot_done
 
 
 def test_no_mode_is_a_trap() -> None:

@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from st_emulator.naming import event_text, member, name_of, resolve_fields
 from st_emulator.obc import Attitude, Mode, Obc, Reason
+from st_emulator.obc.cuc_time import utc_from_cuc
 from st_emulator.protocol.pus.enumerations import EventId, ParameterId
 from st_emulator.protocol.pus.packets import CucTime
 from st_emulator.protocol.pus.registry import parse_telemetry
-from st_emulator.tai import tai_ns_from_utc, utc_from_cuc
+from st_emulator.tai import tai_ns_from_utc
 from st_emulator.world.quaternion import pointing_from_quaternion
 
 

@@ -1,4 +1,6 @@
-"""The room stands alone: construct and the standard library; what it shares with the firmware agrees."""
+"""The room stands alone: construct, the standard library, and the firmware's vocabulary, which is
+enumerations and tables without code.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +15,7 @@ from st_emulator.firmware_model import modes, reasons
 from st_emulator.protocol import Mode, Reason
 
 ROOM = Path(protocol.__file__).parent
+VOCABULARY = {"modes", "reasons", "causes", "parameter_table"}
 
 
 @pytest.mark.parametrize(
@@ -24,8 +27,13 @@ def test_imports(path: Path) -> None:
         if isinstance(node, ast.Import):
             modules = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            assert node.level <= depth, f"{path}: an import leaves the room"
             modules = [] if node.level else [node.module or ""]
+            if node.level > depth:
+                assert node.level == depth + 1, f"{path}: an import leaves the package"
+                room, _, module = (node.module or "").partition(".")
+                assert room == "firmware_model", f"{path}: an import leaves the room"
+                named = {module.split(".")[0]} if module else {alias.name for alias in node.names}
+                assert named <= VOCABULARY, f"{path}: {named}"
         else:
             continue
         for module in modules:
@@ -34,10 +42,17 @@ def test_imports(path: Path) -> None:
             assert top not in ("time", "os", "socket", "threading", "datetime"), f"{path}: {module}"
 
 
-def test_modes_and_reasons_are_those_of_the_firmware_number_by_number() -> None:
-    assert {member.name: int(member) for member in Mode} == {
-        member.name: int(member) for member in modes.Mode
-    }
-    assert {member.name: int(member) for member in Reason} == {
-        member.name: int(member) for member in reasons.Reason
-    }
+@pytest.mark.parametrize("name", sorted(VOCABULARY))
+def test_the_vocabulary_imports_nothing_but_the_standard_library(name: str) -> None:
+    tree = ast.parse((ROOM.parent / "firmware_model" / f"{name}.py").read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0
+            assert (node.module or "").split(".")[0] in sys.stdlib_module_names
+        elif isinstance(node, ast.Import):
+            assert all(alias.name.split(".")[0] in sys.stdlib_module_names for alias in node.names)
+
+
+def test_modes_and_reasons_are_the_firmwares() -> None:
+    assert Mode is modes.Mode
+    assert Reason is reasons.Reason

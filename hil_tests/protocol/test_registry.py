@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from enum import IntFlag
 from typing import Any
 
 import numpy as np
@@ -207,7 +208,7 @@ def test_every_limit_is_held(message: MessageDefinition, field: Field) -> None:
     if field.type.kind == "integer":
         low, high = field.limits()
         wrong += [low - 1, high + 1, 0.5, math.nan]
-        if field.choices is not None and not issubclass(field.choices, enumerations.IntFlag):
+        if field.choices is not None and not issubclass(field.choices, IntFlag):
             wrong += [max(field.choices) + 1]
     elif field.type.kind == "float" and field.minimum is not None and field.maximum is not None:
         wrong += [field.minimum - 1e-3, field.maximum + 1e-3, math.nan, math.inf]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from st_emulator.bench import tables_cache
 from st_emulator.bench.star_tables import star_tables
 from st_emulator.bench.tables_cache import TableFigures, build_arrays, key_of, star_tables_of
+from st_emulator.compiled_kernels import keep_compiled_kernels
 from st_emulator.firmware_model.catalogue.tables import StarTables
 from st_emulator.units.profile import load_unit
 
@@ -105,7 +106,7 @@ def test_a_units_tables_come_from_the_cache_folder(tmp_path: Path, monkeypatch: 
         "from st_emulator.device.memories import digest_of\n"
         "print(digest_of(star_tables(load_unit('zy3'))).hex())"
     )
-    compiled = {name: os.environ[name] for name in ("NUMBA_CACHE_DIR",) if name in os.environ}
+    compiled = {"NUMBA_CACHE_DIR": str(keep_compiled_kernels())}
     run = subprocess.run(
         [sys.executable, "-c", script],
         env=os.environ | compiled | {"XDG_CACHE_HOME": str(tmp_path)},

@@ -220,13 +220,13 @@ class Bench:
             self.run(10)
         elif mode == "TRACKING":
             self.function("START_ACQUISITION", ack=0)
-            self.run_until(lambda: self.emulator.unit.mode == MODE["TRACKING"])
+            self.run_until(lambda: self.emulator.device.mode == MODE["TRACKING"])
         elif mode == "FAULT":
             from st_emulator.protocol.pus.enumerations import FaultCause
 
-            self.emulator.unit.enter_fault(FaultCause.COMMANDED)
+            self.emulator.device.enter_fault(FaultCause.COMMANDED)
         self.run(10)
-        assert self.emulator.unit.mode == MODE[mode]
+        assert self.emulator.device.mode == MODE[mode]
 
 
 @dataclass

@@ -53,7 +53,7 @@ def load(bench: CanBench) -> list[bytes]:
 
 def counted(bench: CanBench) -> dict[str, int]:
     """What is not zero of the counters of transfers."""
-    counters = bench.emulator.unit.can.housekeeping()
+    counters = bench.emulator.dialect.cyclic.housekeeping()
     return {name: counters[name] for name in COUNTERS if counters[name]}
 
 
@@ -279,13 +279,13 @@ def test_a_flood_of_waits() -> None:
     bench.send("hk_enable", {"structure_ids": [1]}, ack=0)
     bench.run(10)
     bench.peer.deaf = True
-    before = bench.emulator.unit.port.connection.counters.wait_frames_received
+    before = bench.emulator.dialect.port.connection.counters.wait_frames_received
     for _ in range(100):
         put(bench, *[WAIT] * 100)
         bench.run(50)
     bench.peer.deaf = False
     counters = counted(bench)
-    waits = bench.emulator.unit.port.connection.counters.wait_frames_received - before
+    waits = bench.emulator.dialect.port.connection.counters.wait_frames_received - before
     lost = counters["transmissions_failed"]
     assert 24 <= lost <= 26, "one each 250 ms, and an event each second"
     assert counters["flow_control_errors"] == lost
@@ -338,5 +338,5 @@ def test_every_second_to_every_40th_frame_is_lost() -> None:
     bench.run(3000)
     assert sum(packet.name == "completion_success" for packet in bench.packets) == whole
     assert 60 < whole < 100
-    assert bench.emulator.unit.link_counters.crc_errors == 0
+    assert bench.emulator.dialect.receiver.counters.crc_errors == 0
     answered(bench)

@@ -35,7 +35,7 @@ def tracking() -> CanBench:
     bench.run(1000)
     bench.send("set_time", {"time": (2_000_000_000, 0xABCDEF)}, ack=0)
     bench.run(1000)
-    Gaps(bench.emulator, {bench.emulator.unit.last_frame_index + 2})
+    Gaps(bench.emulator, {bench.emulator.device.last_frame_index + 2})
     bench.run(2000)
     return bench
 
@@ -265,7 +265,7 @@ def test_a_heartbeat_in_each_mode_and_none_in_boot_and_off() -> None:
     assert modes(200) == [MODE["TRACKING"]] * count
     assert {values["attitude_valid"] for _, values in bench.frames("heartbeat")} == {1}
     bench.set_parameters(blinded_background_dn=1)
-    bench.run_until(lambda: bench.emulator.unit.mode == MODE["LOST_IN_SPACE"])
+    bench.run_until(lambda: bench.emulator.device.mode == MODE["LOST_IN_SPACE"])
     assert modes(200) == [MODE["LOST_IN_SPACE"]] * count
     assert {values["attitude_valid"] for _, values in bench.frames("heartbeat")} == {0}
     assert {values["time_set"] for _, values in bench.frames("heartbeat")} == {0}
@@ -276,7 +276,7 @@ def test_a_heartbeat_in_each_mode_and_none_in_boot_and_off() -> None:
     assert {values["time_set"] for _, values in bench.frames("heartbeat")} == {1}
     assert {values["boot_count"] for _, values in bench.frames("heartbeat")} == {1}
     bench.function("RESET", {"kind": 0}, ack=0)
-    bench.run_until(lambda: bench.emulator.unit.mode == MODE["BOOT"])
+    bench.run_until(lambda: bench.emulator.device.mode == MODE["BOOT"])
     assert modes(390) == []
     assert bench.groups == []
     bench.run(100)
@@ -284,7 +284,7 @@ def test_a_heartbeat_in_each_mode_and_none_in_boot_and_off() -> None:
     assert (first["counter"], first["mode"], first["boot_count"], first["uptime_s"]) == (0, 2, 2, 0)
     assert first["time_set"] == 1, "a warm reset keeps the time"
     bench.function("SHUTDOWN", ack=0)
-    bench.run_until(lambda: bench.emulator.unit.mode == MODE["OFF"])
+    bench.run_until(lambda: bench.emulator.device.mode == MODE["OFF"])
     bench.run(2)
     bench.forget()
     bench.run(3000)

@@ -50,7 +50,7 @@ def test_bus_load_is_the_sum_of_the_frames(section: dict[str, Any]) -> None:
     bench = make_can(can_section=section).boot()
     bench.to_mode("TRACKING")
     bench.run_to(1998)
-    assert bench.emulator.unit.port.bus.queued_frames == 0
+    assert bench.emulator.dialect.port.bus.queued_frames == 0
     recording = Recording(bench)
     for _ in range(9):
         bench.run(60)
@@ -58,7 +58,7 @@ def test_bus_load_is_the_sum_of_the_frames(section: dict[str, Any]) -> None:
         bench.put(record(0x123, bytes(8)))
         bench.put(record(0x7FF, b"\xff" * 5))
     bench.run_to(2998)
-    assert bench.emulator.unit.port.bus.queued_frames == 0
+    assert bench.emulator.dialect.port.bus.queued_frames == 0
     bits = recording.bits()
     bench.run_to(3001)
     wanted = (bits * SECOND_NS // bitrate * 1000 + SECOND_NS // 2) // SECOND_NS
@@ -77,7 +77,7 @@ def test_an_idle_bus_has_none_and_a_busy_one_a_full_load() -> None:
             bench.put(record(0x001, b"\0"))
         bench.run(1000)
     bench.put(b"")
-    assert bench.emulator.unit.port.bus.load_permille == pytest.approx(
+    assert bench.emulator.dialect.port.bus.load_permille == pytest.approx(
         9500 * bits_of(record(1, b"\0")) / 1000, abs=3
     )
 
@@ -91,12 +91,12 @@ def dump_ends_ns(flood: list[bytes], at_ms: float = 8) -> tuple[int, int, CanBen
     bench.run_to(2000)
     bench.send("memory_dump", {"memory_id": 1, "start_address": 0, "length": 1024}, ack=0)
     bench.run(at_ms)
-    lost = bench.emulator.unit.port.bus.counters.arbitration_lost
+    lost = bench.emulator.dialect.port.bus.counters.arbitration_lost
     for data in flood:
         bench.put(data)
     bench.run(1000)
     (packet,) = [item for item in bench.packets if item.name == "memory_dump_report"]
-    return packet.t_ns, bench.emulator.unit.port.bus.counters.arbitration_lost - lost, bench
+    return packet.t_ns, bench.emulator.dialect.port.bus.counters.arbitration_lost - lost, bench
 
 
 FLOODS = {
@@ -116,7 +116,7 @@ def test_a_transfer_is_delayed_by_the_more_urgent_frames(kind: str) -> None:
     assert ends_ns - alone_ns == delay_ns
     assert lost == (len(flood) if delays else 0), "each of them won over the frame that waited"
     assert bench.can()["arbitration_lost"] >= lost
-    assert bench.emulator.unit.link_counters.tc_accepted == 3, "with the one of boot() and can()"
+    assert bench.emulator.dialect.receiver.counters.tc_accepted == 3, "with the one of boot() and can()"
 
 
 def test_a_flood_for_seconds_ends_the_transfer_and_the_unit_recovers() -> None:
@@ -178,7 +178,7 @@ def test_an_image_uses_the_bus() -> None:
     data = b"".join(packet.fields["data"] for packet in bench.packets if packet.name.startswith("image_"))
     assert len(data) == IMAGE_BYTES
     assert wire.decode_image_header(data[:23])["crc"] == wire.crc16(data[23:])
-    assert data == bench.emulator.unit.image_store.data
+    assert data == bench.emulator.dialect.image.data
     share, of_unstuffed = shares(bench, figures["bytes"] / seconds)
     print(f"image: {figures['bytes'] / seconds:.0f} byte/s, {share:.3f}, unstuffed {of_unstuffed:.3f}")
     assert share > 0.98

@@ -162,7 +162,7 @@ def test_a_report_that_finds_the_queue_full_is_made_up_for() -> None:
     bench.forget()
     deaf(bench, True)
     bench.run(3000)
-    port = bench.emulator.unit.port
+    port = bench.emulator.dialect.port
     queue, full = port.queue, [True]
 
     def short_of_room(packet: bytes, limit_bytes: int) -> int:
@@ -209,7 +209,7 @@ def test_short_packets_of_can_fd_do_not_show_a_receiver() -> None:
     bench.send("memory_dump", dump, ack=0)
     bench.run(1100)
     for _ in range(5):
-        bench.emulator.unit.raise_event(EventId.SENSOR_BLINDED, frame_index=0, background_dn=0)
+        bench.emulator.dialect.events.raise_event(EventId.SENSOR_BLINDED, frame_index=0, background_dn=0)
         bench.run(100)
     assert [packet.name for packet in bench.packets[-5:]] == ["event_medium"] * 5, "single frames"
     assert bench.events("CAN_PACKETS_LOST") == []
@@ -240,7 +240,7 @@ def test_cyclic_frames_need_no_receiver() -> None:
     beats = bench.frames("heartbeat")
     assert len(beats) == 100
     assert {later[0] - earlier[0] for earlier, later in pairwise(beats)} <= set(range(99 * MS, 101 * MS))
-    assert bench.emulator.unit.can.housekeeping()["cyclic_overruns"] == 0
+    assert bench.emulator.dialect.cyclic.housekeeping()["cyclic_overruns"] == 0
 
 
 @pytest.mark.parametrize("kind", GONE)
@@ -252,7 +252,7 @@ def test_memory_stays_bounded(kind: str) -> None:
     bench.run(400)
     bench.to_mode("TRACKING")
     emulator = bench.emulator
-    port = emulator.unit.port
+    port = emulator.dialect.port
     download = {"transaction_id": 1, "first_part": 0, "parts": 0}
     bench.function("DOWNLOAD_IMAGE", download, ack=0)
     bench.run(10)
@@ -283,12 +283,12 @@ def test_shutdown_and_reset_still_end(kind: str, function: str) -> None:
     switch, _ = GONE[kind]
     bench = reporting()
     bench.forget()
-    unit = bench.emulator.unit
+    unit = bench.emulator.device
     switch(bench, True)
     bench.run(170)
     arguments = {"kind": 0} if function == "RESET" else {}
     packet = bench.packet("function", {"function_id": FUNCTION[function], "arguments": arguments})
-    bench.emulator.receive_packet(packet)
+    bench.emulator.dialect.packet_received(packet, bench.emulator.now_ns)
     count = bench.count
     target = MODE["OFF" if function == "SHUTDOWN" else "BOOT"]
     bench.run_until(lambda: unit.mode == target, 2100)
@@ -314,6 +314,6 @@ def test_shutdown_ends_for_an_obc_that_says_wait_for_ever() -> None:
     for _ in range(26):  # two packets, eleven times each
         bench.peer.put(WAIT)
         bench.run(900)
-        if bench.emulator.unit.mode == MODE["OFF"]:
+        if bench.emulator.device.mode == MODE["OFF"]:
             break
-    assert bench.emulator.unit.mode == MODE["OFF"]
+    assert bench.emulator.device.mode == MODE["OFF"]

@@ -32,7 +32,7 @@ def trouble(bench: CanBench, fault: Fault, kind: str, ms: float) -> None:
     elif kind == "nobody acknowledges":
         fault.strike(1_000_000, BusError.ACK)
     elif kind == "flood":
-        frames_a_ms = bench.emulator.unit.port.settings.bus.bitrate / 1000 / 140
+        frames_a_ms = bench.emulator.dialect.port.settings.bus.bitrate / 1000 / 140
         for number in range(int(ms * frames_a_ms)):
             bench.put(record(0x010, bytes([number & 0xFF] * 8)))
     elif kind == "overflow":
@@ -68,11 +68,11 @@ def test_received_or_told(section: dict[str, Any], fd: bool, steps: list[tuple[s
     bench.send("hk_disable", {"structure_ids": [1]}, ack=0)
     bench.send("memory_dump", DUMP, ack=15)  # needs flow control in CAN FD, too
     bench.run(1500)
-    assert bench.emulator.unit.port.queued_bytes == 0
+    assert bench.emulator.dialect.port.queued_bytes == 0
     counts = [packet.decoded["sequence_count"] for packet in bench.packets]
     assert counts == sorted(set(counts))
-    assert counts[-1] == bench.emulator.unit.transmitter._sequence_count - 1
+    assert counts[-1] == bench.emulator.dialect.transmitter._sequence_count - 1
     lost = counts[-1] + 1 - len(counts)
     told = bench.events("CAN_PACKETS_LOST") + bench.events("TX_QUEUE_OVERFLOWED")
     assert sum(event["packets"] for event in told) == lost
-    assert bench.emulator.unit.port.counters.packets_lost == lost
+    assert bench.emulator.dialect.port.counters.packets_lost == lost

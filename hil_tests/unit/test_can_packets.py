@@ -175,7 +175,7 @@ def test_the_obcs_block_size_is_kept(block_size: int) -> None:
 def test_a_listener_hears_what_the_obc_receives(fd: bool) -> None:
     """Also through pauses for which the OBC asks, longer than a receiver would wait by itself."""
     bench = make_can(can=CanWiring(fd=fd))
-    listener = TelemetryListener(can=bench.emulator.unit.port.settings.identifiers, fd=fd)
+    listener = TelemetryListener(can=bench.emulator.dialect.port.settings.identifiers, fd=fd)
     bench.run(500)
     bench.peer.stmin = 30
     bench.peer.answers.append(b"\x31\0\0")
@@ -307,7 +307,7 @@ def test_four_units_on_one_bus_are_never_mixed() -> None:
             node = UNITS[name]
             counters = [data[0] for _, identifier, data in other.frames if identifier == 0x180 + node]
             assert counters == [index & 0xFF for index in indices]
-        structure = bus.emulators[name].unit.can.housekeeping()
+        structure = bus.emulators[name].dialect.cyclic.housekeeping()
         assert structure["pdus_received"] == 4
         assert structure["pdus_sent"] == len(packets)
         for counter in ("frames_ignored", "receptions_failed", "transmissions_failed", "syncs_ignored"):

@@ -165,7 +165,7 @@ def silenced(bench: CanBench) -> None:
 
 
 def counters(bench: CanBench) -> dict[str, int]:
-    return bench.emulator.unit.can.housekeeping()
+    return bench.emulator.dialect.cyclic.housekeeping()
 
 
 def answered(bench: CanBench) -> None:
@@ -176,7 +176,7 @@ def answered(bench: CanBench) -> None:
 
 def nothing_piled_up(bench: CanBench) -> None:
     emulator = bench.emulator
-    port = emulator.unit.port
+    port = emulator.dialect.port
     assert port.bus.queued_frames == port.queued_bytes == 0
     assert len(emulator.clock._queue) < 50
     assert len(port._handed_over) == sum(map(len, port._cyclic.values())) == 0
@@ -192,7 +192,7 @@ def test_all_are_counted(section: dict[str, Any]) -> None:
     model = Receiver()
     frames = random_frames(1, number)
     before = counters(bench)
-    octets_before = bench.emulator.unit.link_counters.rx_bytes
+    octets_before = bench.emulator.dialect.receiver.counters.rx_bytes
     for start in range(0, number, TOGETHER):
         batch = frames[start : start + TOGETHER]
         # Error messages are no frames of the bus: they count when they come.
@@ -215,10 +215,10 @@ def test_all_are_counted(section: dict[str, Any]) -> None:
     for name in ("timeouts_a", "timeouts_bs", "timeouts_cr", "flow_control_errors", "transmissions_failed"):
         assert after[name] == 0
     assert after["tx_frames"] == len(bench.groups)
-    assert bench.emulator.unit.link_counters.rx_bytes - octets_before == model.octets
-    assert bench.emulator.unit.mode == MODE["STANDBY"]
+    assert bench.emulator.dialect.receiver.counters.rx_bytes - octets_before == model.octets
+    assert bench.emulator.device.mode == MODE["STANDBY"]
     answered(bench)
-    assert bench.emulator.unit.link_counters.tc_received == model.counts["pdus_received"] + 1
+    assert bench.emulator.dialect.receiver.counters.tc_received == model.counts["pdus_received"] + 1
     nothing_piled_up(bench)
 
 
@@ -240,7 +240,7 @@ def test_while_the_unit_works(fd: bool) -> None:
         if dice.random() < 0.02:
             bench.put(error_record(0x100))
         bench.run(BATCH_MS)
-        assert bench.emulator.unit.port.queued_bytes <= 49_152
+        assert bench.emulator.dialect.port.queued_bytes <= 49_152
     after = counters(bench)
     assert after["bus_off_count"] - before["bus_off_count"] > 2
     if not fd:  # in CAN FD few packets need flow control
@@ -252,7 +252,7 @@ def test_while_the_unit_works(fd: bool) -> None:
     )  # fmt: skip
     failures = ("transmissions_failed", "receptions_failed", "frames_ignored")
     assert sum(after[name] for name in reasons) == sum(after[name] for name in failures)
-    assert bench.emulator.unit.mode == MODE["TRACKING"]
+    assert bench.emulator.device.mode == MODE["TRACKING"]
     bench.put(error_record(0x100))
     bench.run(3000)
     bench.forget()
@@ -268,7 +268,7 @@ def test_records_that_are_cut() -> None:
         bench.put(whole[:length])
         bench.put(whole)
         bench.run(1)
-    port = bench.emulator.unit.port
+    port = bench.emulator.dialect.port
     assert port.counters.malformed_records == len(whole) - 1
     assert len(bench.frames("sync_time")) == len(whole) - 1, "the whole ones are read"
     answered(bench)
@@ -287,7 +287,7 @@ def test_records_of_impossible_frames() -> None:
     for number, data in enumerate(bad, start=1):
         bench.put(data + record(SYNC, b"\x01"))
         bench.run(1)
-        assert bench.emulator.unit.port.counters.malformed_records == number
+        assert bench.emulator.dialect.port.counters.malformed_records == number
     assert bench.can()["syncs"] == len(bad)
     answered(bench)
 

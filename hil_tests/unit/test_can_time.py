@@ -31,7 +31,7 @@ def sync(bench: CanBench, payload: bytes = b"\x07") -> int:
     """Put a SYNC on the idle bus; the time of its last bit (ns)."""
     identifier = bench.identifier("sync")
     bits = classic_bits(identifier, payload, extended=bench.peer.extended)
-    bitrate = bench.emulator.unit.port.settings.bus.bitrate
+    bitrate = bench.emulator.dialect.port.settings.bus.bitrate
     bench.put_frame("sync", payload)
     return bench.emulator.now_ns + (bits - PAUSE_BITS) * 10**9 // bitrate
 
@@ -72,7 +72,7 @@ def test_the_load_of_the_bus_does_not_matter() -> None:
     bench = quiet()
     bench.send("memory_dump", {"memory_id": 1, "start_address": 0, "length": 1024}, ack=0)
     bench.run(5)
-    assert bench.emulator.unit.port.bus.state == 0
+    assert bench.emulator.dialect.port.bus.state == 0
     put_ns = bench.emulator.now_ns
     sync(bench)
     bench.run(5)
@@ -103,7 +103,7 @@ def test_time_at_sync_sets_the_time_at_the_next_frame_start(fine: int) -> None:
     time_at_sync(bench, 2_000_000_000, fine)
     bench.run_to(5 * PERIOD_MS - 1)
     assert bench.events("TIME_SET") == []
-    assert bench.emulator.unit.time.status == 0
+    assert bench.emulator.device.time.synchronised is False
     bench.run_to(5 * PERIOD_MS + 20)
     (event,) = bench.events("TIME_SET")
     frame_start_ns = 5 * PERIOD_MS * MS
@@ -156,7 +156,7 @@ def test_ignored_and_counted(kind: str) -> None:
     assert structure["syncs_ignored"] == 1
     assert structure["syncs"] == {"no SYNC": 0, "another SYNC since": 2, "a SYNC of 2 bytes": 0}.get(kind, 1)
     assert len(bench.frames("sync_time")) == structure["syncs"]
-    assert bench.emulator.unit.time.status == 0
+    assert bench.emulator.device.time.synchronised is False
     sync(bench)
     bench.run(1)
     time_at_sync(bench, 9, 9)
@@ -192,7 +192,7 @@ def test_not_in_self_test_where_set_time_is_refused() -> None:
     assert told(bench)[1] == last_bit_ns * 2**24 // 10**9, "clocks can be compared in every mode"
     time_at_sync(bench, 9, 9)
     bench.run(300)
-    assert bench.emulator.unit.mode == MODE["SELF_TEST"]
+    assert bench.emulator.device.mode == MODE["SELF_TEST"]
     assert bench.events("TIME_SET") == []
     assert bench.can()["syncs_ignored"] == 1
 
@@ -205,7 +205,7 @@ def test_nothing_in_boot() -> None:
     time_at_sync(bench, 9, 9)
     bench.run(800)
     assert bench.frames("sync_time") == bench.events("TIME_SET") == []
-    counters = bench.emulator.unit.can.housekeeping()
+    counters = bench.emulator.dialect.cyclic.housekeeping()
     assert (counters["syncs"], counters["syncs_ignored"]) == (0, 0)
     # The receiver was off: only the OBC's flow control since is counted.
     assert counters["rx_frames"] == len(bench.peer.said) > 0

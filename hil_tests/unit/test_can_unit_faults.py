@@ -49,7 +49,7 @@ def faulty(**arguments: Any) -> tuple[CanBench, Fault]:
 
 def counts(bench: CanBench) -> tuple[int, int, int]:
     """State, transmit and receive error counter."""
-    structure = bench.emulator.unit.can.housekeeping()
+    structure = bench.emulator.dialect.cyclic.housekeeping()
     return tuple(structure[name] for name in ("can_state", "transmit_error_count", "receive_error_count"))
 
 
@@ -96,7 +96,7 @@ def test_errors_in_frames_of_others_lead_there_too() -> None:
 
 def test_bus_off_and_recovery() -> None:
     bench, fault = faulty(can_section={"heartbeat_ms": 50})
-    since = bench.emulator.unit.transmitter._sequence_count
+    since = bench.emulator.dialect.transmitter._sequence_count
     fault.strike(32, BusError.BIT)
     bench.send("ping")
     bench.run(30)
@@ -144,7 +144,7 @@ def test_a_bus_that_stays_broken_for_seconds() -> None:
     since = bench.packets[-1].decoded["sequence_count"]
     bench.forget()
     fault.strike(1_000_000, BusError.BIT)
-    port, clock = bench.emulator.unit.port, bench.emulator.clock
+    port, clock = bench.emulator.dialect.port, bench.emulator.clock
     for _ in range(50):
         bench.run(100)
         assert port.bus.queued_frames <= 3
@@ -172,7 +172,7 @@ def test_nobody_acknowledges() -> None:
     fault.strike(1_000_000, BusError.ACK)
     bench.run(3000)
     assert counts(bench) == (PASSIVE, 128, 0)
-    load = bench.emulator.unit.port.bus.load_permille
+    load = bench.emulator.dialect.port.bus.load_permille
     assert 930 < load < 960, "it tries again and again, with a pause of 8 bits each time"
     fault.number = 0
     bench.forget()
@@ -294,13 +294,13 @@ def test_a_full_queue_loses_packets_and_tells_how_many(bus: bool) -> None:
     else:
         bench = make().boot()
     bench.run_to(1010)
-    since = bench.emulator.unit.transmitter._sequence_count
+    since = bench.emulator.dialect.transmitter._sequence_count
     bench.forget()
     most = 0
     for _ in range(60):
         bench.send("memory_dump", {"memory_id": 1, "start_address": 0, "length": 1024}, ack=9)
         bench.run(30)
-        most = max(most, bench.emulator.unit.port.queued_bytes)
+        most = max(most, bench.emulator.dialect.port.queued_bytes)
     assert 32_768 - 1100 < most <= 32_768 + 16_384
     bench.run(20_000)
     bench.send("ping")

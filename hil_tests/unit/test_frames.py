@@ -106,15 +106,16 @@ def test_telemetry_loads_the_processor(new_bench: MakeBench) -> None:
 
 def test_work_on_the_line_is_that_of_its_packets(new_bench: MakeBench) -> None:
     bench = new_bench().boot()
-    unit = bench.emulator.unit
+    unit, dialect = bench.emulator.device, bench.emulator.dialect
+    counters = dialect.receiver.counters
     unit.link_work()
-    sent, received = unit.transmitter.bytes, unit.link_counters.rx_bytes
+    sent, received = dialect.transmitter.bytes, counters.rx_bytes
     bench.send("ping")
     bench.run(20)  # less than to the next frame, which takes the work
     work = unit.link_work()
     assert work["telecommands"] == 1
-    assert work["telecommand_bytes"] == unit.link_counters.rx_bytes - received
-    assert 0 < work["telemetry_bytes"] <= unit.transmitter.bytes - sent  # escapes and ENDs are more
+    assert work["telecommand_bytes"] == counters.rx_bytes - received
+    assert 0 < work["telemetry_bytes"] <= dialect.transmitter.bytes - sent  # escapes and ENDs are more
     assert work["crc_bytes"] == work["telemetry_bytes"] + 13  # the ping's packet
     assert work["image_bytes"] == 0
     assert work["sending_rounds"] == work["receiving_rounds"] == 1

@@ -35,7 +35,7 @@ def test_flow_control_that_waits_in_the_link_is_no_timeout(monkeypatch: pytest.M
     now = SimpleNamespace(ns=0, held_up=0, rested_ns=0)
     peer = Peer(0x60A, 0x58A)
     emulator = Emulator(load_unit("roja1"), can=CanWiring(), transmit=peer.take)
-    assert emulator.unit.port.settings.identifiers.identifier(TELEMETRY) == peer.telemetry
+    assert emulator.dialect.port.settings.identifiers.identifier(TELEMETRY) == peer.telemetry
 
     def wait(readable: list, writable: list, exceptional: list, wait_s: float) -> tuple[list, list, list]:
         now.ns += round(wait_s * 1e9) + 1000
@@ -51,5 +51,5 @@ def test_flow_control_that_waits_in_the_link_is_no_timeout(monkeypatch: pytest.M
     realtime.run_paced(emulator, PeerLink(peer), stop=stop, until_ns=12_000_000_000)
     stop.close()
     assert now.held_up >= 2
-    assert emulator.unit.can.housekeeping()["timeouts_bs"] == 0
+    assert emulator.dialect.cyclic.housekeeping()["timeouts_bs"] == 0
     assert len(peer.packets) >= 10  # housekeeping each second

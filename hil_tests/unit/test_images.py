@@ -106,7 +106,7 @@ def test_some_parts_again(new_bench: MakeBench) -> None:
         assert bench.stages(count)[-1] == "completion_success"
         asked_for = [packet for packet in bench.packets if packet.name.startswith("image_")]
         assert {packet.decoded["destination_id"] for packet in asked_for} == {SOURCE}
-    data = bench.emulator.unit.image_store.data
+    data = bench.emulator.dialect.image.data
     assert parts_of(bench)[1][1]["data"] == data[1024:2048]
     for first, number in ((PARTS + 1, 0), (1, PARTS + 1), (PARTS, 2), (65535, 65535)):
         count = bench.function("DOWNLOAD_IMAGE", {"transaction_id": 9, "first_part": first, "parts": number})
@@ -121,7 +121,7 @@ def test_the_image_is_a_memory_too(new_bench: MakeBench) -> None:
         "memory_load", {"memory_id": 3, "start_address": 0, "data": b"x", "checksum": wire.crc16(b"x")}
     )
     bench.run(30)
-    assert bench.of("memory_dump_report")[0]["data"] == bench.emulator.unit.image_store.data[-10:]
+    assert bench.of("memory_dump_report")[0]["data"] == bench.emulator.dialect.image.data[-10:]
     assert bench.failure(count) == ("acceptance_failure", 10, 3)
 
 
@@ -144,7 +144,7 @@ def test_abort(new_bench: MakeBench) -> None:
 
 def test_one_capture_or_download_at_a_time(new_bench: MakeBench) -> None:
     bench = captured(new_bench)
-    before = bench.emulator.unit.image_store.data
+    before = bench.emulator.dialect.image.data
     download = bench.function("DOWNLOAD_IMAGE", ALL)
     bench.run(50)
     for name, arguments in (("DOWNLOAD_IMAGE", ALL), ("CAPTURE_IMAGE", {})):
@@ -163,7 +163,7 @@ def test_one_capture_or_download_at_a_time(new_bench: MakeBench) -> None:
         assert bench.failure(count) == ("acceptance_failure", BUSY, 0)
     bench.run(500)
     assert bench.stages(capture)[-1] == "completion_success"
-    assert bench.emulator.unit.image_store.data != before
+    assert bench.emulator.dialect.image.data != before
 
 
 def test_attitudes_slip_in_between_the_parts(new_bench: MakeBench) -> None:
@@ -205,7 +205,7 @@ def test_a_capture_whose_frame_is_in_flight_dies_with_a_reset(new_bench: MakeBen
     bench.run(500)
     assert bench.failure(count) == ("completion_failure", ABORTED, 0)
     assert bench.events("IMAGE_CAPTURED") == []
-    assert bench.emulator.unit.image_store.data == b""
+    assert bench.emulator.dialect.image.data == b""
 
 
 def test_a_capture_dies_with_a_self_test(new_bench: MakeBench) -> None:
@@ -224,9 +224,9 @@ class Gaps:
     """A sensor that delivers no frame for a while."""
 
     def __init__(self, emulator: Emulator, missing: set[int]) -> None:
-        self._scene = emulator.unit.imaging._source
+        self._scene = emulator.device.imaging._source
         self._missing = missing
-        emulator.unit.imaging._source = self
+        emulator.device.imaging._source = self
 
     def frame(self, frame_index: int, exposure_start_ns: int, exposure_ns: int) -> Any:
         if frame_index in self._missing:
@@ -247,7 +247,7 @@ def test_a_capture_waits_for_a_sensor_that_delivers(new_bench: MakeBench) -> Non
 def test_a_frame_that_never_came_is_dropped_with_its_reason(new_bench: MakeBench) -> None:
     bench = new_bench().boot()
     bench.to_mode("TRACKING")
-    first = bench.emulator.unit.last_frame_index + 2
+    first = bench.emulator.device.last_frame_index + 2
     Gaps(bench.emulator, {first})
     bench.run_to((first + 3) * 250)
     assert bench.events("FRAME_DROPPED") == [{"frame_index": first, "cause": 2}]
@@ -275,7 +275,7 @@ def test_no_sensor_fails_the_self_test(new_bench: MakeBench) -> None:
 
 def test_download_goes_on_in_fault(new_bench: MakeBench) -> None:
     bench = captured(new_bench)
-    bench.emulator.unit.enter_fault(FaultCause.COMMANDED)
+    bench.emulator.device.enter_fault(FaultCause.COMMANDED)
     count = bench.function("DOWNLOAD_IMAGE", ALL)
     bench.run(4000)
     assert bench.stages(count)[-1] == "completion_success"

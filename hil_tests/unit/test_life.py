@@ -1,8 +1,12 @@
 """Boot, self-test, resets, shutdown, fault: what is kept, what is told, what is silent."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
+from st_emulator.firmware_model.configuration import StarTables
 from st_emulator.protocol.pus.enumerations import FaultCause, ResetCause
 
 from .conftest import MODE, MS, Bench, MakeBench, Packet
@@ -14,7 +18,7 @@ def test_boot(new_bench: MakeBench) -> None:
     bench = new_bench()
     bench.run(399)
     assert bench.packets == []
-    assert bench.emulator.unit.mode == MODE["BOOT"]
+    assert bench.emulator.device.mode == MODE["BOOT"]
     bench.run(20)
     assert bench.events("BOOT_COMPLETED") == [{"boot_count": 1, "reset_cause": 0}]
     first = bench.packets[0].decoded
@@ -90,7 +94,7 @@ def test_a_reset_lets_the_queue_run_empty_and_hears_nothing_meanwhile(bench: Ben
     assert bench.stages(reset) == ["acceptance_success", "start_success"]
     assert bench.stages(ping) == bench.stages(start_late) == []
     assert bench.events("BOOT_COMPLETED") == [{"boot_count": 2, "reset_cause": 1}]
-    assert bench.emulator.unit.mode == MODE["STANDBY"]
+    assert bench.emulator.device.mode == MODE["STANDBY"]
 
 
 def test_a_reset_ends_what_runs(bench: Bench) -> None:
@@ -101,7 +105,7 @@ def test_a_reset_ends_what_runs(bench: Bench) -> None:
     assert bench.failure(test) == ("completion_failure", ABORTED, 0)
     assert bench.stages(reset) == ["acceptance_success", "start_success"]
     assert bench.events("SELF_TEST_COMPLETED") == []
-    assert bench.emulator.unit.mode == MODE["STANDBY"]
+    assert bench.emulator.device.mode == MODE["STANDBY"]
     assert len(bench.events("BOOT_COMPLETED")) == 1
 
 
@@ -115,14 +119,14 @@ def test_shutdown_is_silent_behind_its_reports(bench: Bench, mode: str) -> None:
     bench.run(100)
     assert bench.stages(count) == ["acceptance_success", "start_success", "completion_success"]
     assert len(bench.events("SHUTDOWN_STARTED")) == 1
-    assert bench.emulator.unit.mode == MODE["OFF"]
+    assert bench.emulator.device.mode == MODE["OFF"]
     ended = [packet.name for packet in bench.packets if packet.name.startswith("completion")]
     assert ended == ["completion_failure"] * (mode == "SELF_TEST") + ["completion_success"]
     groups = len(bench.groups)
-    frames = bench.emulator.unit.frame_counters.frames_processed
+    frames = bench.emulator.device.frame_counters.frames_processed
     bench.run(20_000)
     assert len(bench.groups) == groups
-    assert bench.emulator.unit.frame_counters.frames_processed == frames
+    assert bench.emulator.device.frame_counters.frames_processed == frames
 
 
 def test_autonomous_start(new_bench: MakeBench) -> None:
@@ -170,16 +174,23 @@ def test_self_test_leaves_memory_as_it_was(bench: Bench) -> None:
     assert bench.of("memory_dump_report")[0]["data"] == b"keep me"
 
 
+def damaged(tables: StarTables) -> StarTables:
+    """One bit of one direction is another."""
+    vectors = tables.catalogue.unit_vectors.copy()
+    vectors.view(np.uint64)[7, 1] ^= 1
+    return replace(tables, catalogue=replace(tables.catalogue, unit_vectors=vectors))
+
+
 def test_self_test_sees_a_damaged_catalogue_and_a_repaired_one(bench: Bench) -> None:
-    unit = bench.emulator.unit
-    good = unit.self_test._tables_digest
-    unit.self_test._tables_digest = b"another"
+    unit = bench.emulator.device
+    good = unit.memories.tables
+    unit.memories.overwrite_tables(damaged(good))
     count = bench.function("START_SELF_TEST")
     bench.run(700)
     assert bench.failure(count) == ("completion_failure", 16, 8)
     assert unit.mode == MODE["FAULT"]
     assert bench.events("MODE_CHANGED")[-1] == {"from_mode": 1, "to_mode": 5, "cause": 4}
-    unit.self_test._tables_digest = good
+    unit.memories.overwrite_tables(good)
     bench.forget()
     count = bench.function("START_SELF_TEST")
     bench.run(700)
@@ -191,8 +202,8 @@ def test_self_test_sees_a_damaged_catalogue_and_a_repaired_one(bench: Bench) -> 
 def test_fault_stops_everything(bench: Bench, mode: str) -> None:
     bench.to_mode(mode)
     bench.forget()
-    bench.emulator.unit.enter_fault(FaultCause.SENSOR_LOST)
-    bench.emulator.unit.enter_fault(FaultCause.SENSOR_LOST)  # once is enough
+    bench.emulator.device.enter_fault(FaultCause.SENSOR_LOST)
+    bench.emulator.device.enter_fault(FaultCause.SENSOR_LOST)  # once is enough
     bench.run(1500)
     assert bench.events("FAULT_ENTERED") == [{"cause": 2}]
     changes = bench.events("MODE_CHANGED")
@@ -204,13 +215,13 @@ def test_fault_stops_everything(bench: Bench, mode: str) -> None:
     assert event.name == "event_high"
     bench.function("RESET", {"kind": 0})
     bench.run(600)
-    assert bench.emulator.unit.mode == MODE["STANDBY"]
+    assert bench.emulator.device.mode == MODE["STANDBY"]
 
 
 def test_a_fault_ends_the_requests_that_run(bench: Bench) -> None:
     test = bench.function("START_SELF_TEST")
     bench.run(30)
-    bench.emulator.unit.enter_fault(FaultCause.COMMANDED)
+    bench.emulator.device.enter_fault(FaultCause.COMMANDED)
     bench.run(1000)
     assert bench.failure(test) == ("completion_failure", ABORTED, 0)
 
@@ -220,7 +231,7 @@ def test_a_watchdog_reset_at_once_loses_what_waits(bench: Bench) -> None:
         bench.send("memory_dump", {"memory_id": 1, "start_address": 0, "length": 1024}, ack=0)
     bench.run(60)
     bench.broken = []
-    bench.emulator.unit.reset(ResetCause.WATCHDOG)
+    bench.emulator.device.restart(ResetCause.WATCHDOG)
     bench.run(600)
     assert bench.of("memory_dump_report") == []
     assert len(bench.broken) == 1, "the one on the line is cut and costs no packet behind it"

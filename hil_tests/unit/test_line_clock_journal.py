@@ -48,6 +48,7 @@ def wires(baud: int) -> tuple[VirtualClock, SerialLine, list, list]:
         baud,
         lambda data: sent.append((clock.now_ns, data)),
         lambda data: received.append((clock.now_ns, data)),
+        delimiter=0xC0,
     )
     return clock, line, sent, received
 
@@ -100,9 +101,19 @@ def test_a_packet_is_received_when_its_own_end_is() -> None:
     assert [at for at, _ in received] == [count * 10**10 // 115200 for count in ends]
 
 
+def test_without_a_delimiter_each_byte_has_its_own_time() -> None:
+    clock, received = VirtualClock(), []
+    line = SerialLine(
+        clock, 9600, lambda data: None, lambda data: received.append((clock.now_ns, data)), delimiter=None
+    )
+    line.arrive(b"\xc0ab")
+    clock.advance(10**9)
+    assert received == [(count * 10**10 // 9600, b"\xc0ab"[count - 1 : count]) for count in (1, 2, 3)]
+
+
 def test_reception_is_not_paced_behind_a_real_port() -> None:
     clock, received = VirtualClock(), []
-    line = SerialLine(clock, 9600, lambda data: None, received.append, pace_reception=False)
+    line = SerialLine(clock, 9600, lambda data: None, received.append, delimiter=0xC0, pace_reception=False)
     line.arrive(b"\xc0abc\xc0\xc0")
     assert received == [b"\xc0abc\xc0\xc0"]
 

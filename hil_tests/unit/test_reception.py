@@ -118,7 +118,7 @@ def test_garbage_without_end_takes_no_memory(bench: Bench) -> None:
     for _ in range(50):
         bench.put(b"\x55" * 1000)
         bench.run(90)
-    decoder = bench.emulator.unit.port._decoder
+    decoder = bench.emulator.dialect.port._decoder
     assert len(decoder._frame) <= 1024
     bench.put(b"\xc0")
     count = bench.send("ping")
@@ -275,7 +275,7 @@ def test_latency_runs_from_the_last_byte(bench: Bench) -> None:
 
 
 def test_counters_stop_at_their_highest_value(bench: Bench) -> None:
-    counters = bench.emulator.unit.link_counters
+    counters = bench.emulator.dialect.receiver.counters
     counters.crc_errors = 0xFFFF
     counters.tc_received = 0xFFFFFFFF
     raw = ping(bench)
@@ -325,6 +325,6 @@ def test_whatever_comes_a_ping_behind_it_is_answered(shared: Bench, pieces: list
     count = bench.send("ping", source_id=0x7777, count=1234)
     bench.run(400)
     assert "completion_success" in bench.stages(count)
-    assert bench.emulator.unit.mode == MODE["STANDBY"]
-    counters = bench.emulator.unit.link_counters
+    assert bench.emulator.device.mode == MODE["STANDBY"]
+    counters = bench.emulator.dialect.receiver.counters
     assert counters.tc_received == counters.tc_accepted + counters.tc_rejected

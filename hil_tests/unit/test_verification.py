@@ -217,18 +217,19 @@ FAILURES: dict[str, tuple[str, dict[str, Any], tuple[int, int]]] = {
 
 def state_of(bench: Bench) -> Any:
     """Everything a telecommand can change but the link's counters."""
-    unit = bench.emulator.unit
+    unit, dialect = bench.emulator.device, bench.emulator.dialect
     return (
         unit.mode,
         dict(unit.parameters._values),
         unit.parameters._store.load(),
-        set(unit.disabled_events),
-        dict(unit.services._intervals_ms),
-        set(unit.services._periodic),
-        unit.services._time_report_exponent,
-        bytes(unit.memories._ram),
-        unit.image_store.data,
-        unit.image_store.busy,
+        set(dialect.events._disabled),
+        dict(dialect.housekeeping._intervals_ms),
+        set(dialect.housekeeping._periodic),
+        dialect.time._rate_exponent,
+        bytes(unit.memories.ram),
+        bytes(unit.memories.program),
+        dialect.image.data,
+        unit.image_memory.busy,
         unit.time._pending_offset_ns,
     )
 
@@ -297,7 +298,7 @@ def test_every_telecommand_in_every_mode(new_bench: Any, mode: str) -> None:
     blind = {"blinded_background_dn": 1} if mode == "LOST_IN_SPACE" else {}
     bench = new_bench(timing={"self_test_ms": 60000}, detection=blind).boot()
     bench.to_mode(mode)
-    unit = bench.emulator.unit
+    unit = bench.emulator.device
     quiet_last = sorted(EXAMPLES, key=lambda name: table_order(name))
     for name in quiet_last:
         telecommand, fields = EXAMPLES[name]
@@ -316,7 +317,7 @@ def test_every_telecommand_in_every_mode(new_bench: Any, mode: str) -> None:
             assert stages == ["acceptance_failure"], name
             assert bench.failure(count) == ("acceptance_failure", NOT_ALLOWED, MODE[mode]), name
     refused = sum(mode not in table[name] for name in EXAMPLES)
-    assert unit.link_counters.not_allowed_in_mode == refused
+    assert bench.emulator.dialect.receiver.counters.not_allowed_in_mode == refused
 
 
 CHANGES_MODE = ("GO_STANDBY", "START_ACQUISITION", "START_SELF_TEST", "RESET", "SHUTDOWN", "TRACK_FROM")
@@ -348,7 +349,7 @@ def test_functions_lead_where_the_table_says(new_bench: Any, mode: str, function
     bench.forget()
     count = bench.function(function, ARGUMENTS.get(function, {}))
     bench.run(60)
-    assert bench.emulator.unit.mode == MODE[TARGETS[function]]
+    assert bench.emulator.device.mode == MODE[TARGETS[function]]
     assert bench.stages(count)[0] == "acceptance_success"
     told = [event for event in bench.events("MODE_CHANGED") if event["to_mode"] == MODE[TARGETS[function]]]
     silent = TARGETS[function] in ("BOOT", "OFF") or mode == TARGETS[function]
@@ -363,7 +364,7 @@ def test_nothing_is_heard_in_boot_and_off(new_bench: Any) -> None:
     bench.send("ping")
     bench.run(50)
     assert bench.packets == []
-    assert bench.emulator.unit.link_counters.tc_received == 0
+    assert bench.emulator.dialect.receiver.counters.tc_received == 0
     bench.boot()
     bench.function("SHUTDOWN")
     bench.run(100)

@@ -15,7 +15,7 @@ from st_emulator.world import time_scales
 
 @given(st.datetimes(datetime.datetime(1975, 1, 1), datetime.datetime(2025, 12, 31)))
 def test_tai_since_1958_against_astropy(date: datetime.datetime) -> None:
-    found = tai_ns_from_utc(date)
+    found = tai_ns_from_utc(date.replace(tzinfo=datetime.UTC))
     expected = (Time(date, scale="utc").tai - Time("1958-01-01", scale="tai")).to_value("s")
     assert abs(found * 1e-9 - expected) < 2e-6
 
@@ -31,6 +31,12 @@ def test_scales_of_one_date_against_astropy() -> None:
 
 def test_default_start_of_the_renderer_is_2026() -> None:
     assert tai_ns_from_utc("2026-01-01T00:00:00Z") == 2_145_916_837_000_000_000
+
+
+def test_a_time_without_its_zone_is_refused() -> None:
+    for moment in (datetime.datetime(2026, 1, 1), "2026-01-01T00:00:00"):
+        with pytest.raises(ValueError, match="a time zone is needed"):
+            tai_ns_from_utc(moment)
 
 
 def test_no_date_is_no_date() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ..durations import NS_PER_S
 from ..errors import LocalProtocolError
 from .frames import CAN_FD_LENGTHS, CanFrame
 
@@ -28,7 +29,6 @@ _TAIL_BITS = ACKNOWLEDGE_BITS + END_OF_FRAME_BITS + INTERMISSION_BITS
 _CRC_15_POLYNOMIAL = 0x4599
 _STUFF_COUNT_BITS = 4
 _DLC = {length: dlc for dlc, length in enumerate(CAN_FD_LENGTHS)}
-_NS_PER_S = 1_000_000_000
 
 
 class FrameBits(NamedTuple):
@@ -149,7 +149,7 @@ def frame_bits(frame: CanFrame) -> FrameBits:
 
 def bits_duration_ns(count: int, bitrate: int) -> int:
     """The time of ``count`` bits at ``bitrate`` (bit/s), rounded up to whole nanoseconds."""
-    return -(-count * _NS_PER_S // bitrate)
+    return -(-count * NS_PER_S // bitrate)
 
 
 def frame_duration_ns(frame: CanFrame, bitrate: int, data_bitrate: int) -> int:
@@ -158,5 +158,5 @@ def frame_duration_ns(frame: CanFrame, bitrate: int, data_bitrate: int) -> int:
     """
     nominal, data_phase = frame_bits(frame)
     if not data_phase:
-        return -(-nominal * _NS_PER_S // bitrate)
-    return -(-(nominal * data_bitrate + data_phase * bitrate) * _NS_PER_S // (bitrate * data_bitrate))
+        return -(-nominal * NS_PER_S // bitrate)
+    return -(-(nominal * data_bitrate + data_phase * bitrate) * NS_PER_S // (bitrate * data_bitrate))

@@ -11,6 +11,7 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from ..durations import NS_PER_S, NS_PER_US
 from ..errors import LocalProtocolError
 
 CAN_FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -31,8 +32,6 @@ ERROR_STATE_FLAG = 0x02
 FD_FLAG = 0x04
 
 _VALID_FD_LENGTHS = frozenset(CAN_FD_LENGTHS)
-_NS_PER_S = 1_000_000_000
-_NS_PER_US = 1_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +255,7 @@ def parse_candump(line: str) -> CandumpLine | None:
         return None
     time_ns = None
     if match["seconds"] is not None:
-        time_ns = int(match["seconds"]) * _NS_PER_S + int(match["fraction"].ljust(9, "0"))
+        time_ns = int(match["seconds"]) * NS_PER_S + int(match["fraction"].ljust(9, "0"))
     return CandumpLine(time_ns, match["channel"], frame)
 
 
@@ -271,5 +270,5 @@ def candump_line(frame: CanFrame, time_ns: int, channel: str) -> str:
         raise LocalProtocolError("candump line", "time_ns", time_ns, "0 or more")
     if len(channel.split()) != 1 or channel != channel.strip():
         raise LocalProtocolError("candump line", "channel", channel, "a name without blanks")
-    seconds, rest_ns = divmod(time_ns, _NS_PER_S)
-    return f"({seconds:010d}.{rest_ns // _NS_PER_US:06d}) {channel} {frame.candump()}"
+    seconds, rest_ns = divmod(time_ns, NS_PER_S)
+    return f"({seconds:010d}.{rest_ns // NS_PER_US:06d}) {channel} {frame.candump()}"

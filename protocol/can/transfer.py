@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from ..durations import NS_PER_US
 from ..errors import LocalProtocolError
 from .frames import (
     CAN_FD_LENGTHS,
@@ -29,7 +30,6 @@ SINGLE, FIRST, CONSECUTIVE, FLOW_CONTROL = range(4)
 # FlowStatus (9.6.5.1, table 18)
 CONTINUE_TO_SEND, WAIT, OVERFLOW = range(3)
 
-_NS_PER_US = 1_000
 _US_PER_MS = 1_000
 _LONGEST_STMIN = 0x7F
 
@@ -73,9 +73,9 @@ def encode_separation_time(separation_time_us: int) -> int:
 def decode_separation_time_ns(stmin: int) -> int | None:
     """The time that STmin says; None: a reserved value (9.6.5.4)."""
     if stmin <= _LONGEST_STMIN:
-        return stmin * _US_PER_MS * _NS_PER_US
+        return stmin * _US_PER_MS * NS_PER_US
     if 0xF1 <= stmin <= 0xF9:
-        return (stmin - 0xF0) * 100 * _NS_PER_US
+        return (stmin - 0xF0) * 100 * NS_PER_US
     return None
 
 

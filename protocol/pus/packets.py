@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..durations import NS_PER_S
 from ..errors import LocalProtocolError
 from .enumerations import MalformedReason
 from .headers import (
@@ -43,7 +44,6 @@ ACK_START = 0b0100
 ACK_PROGRESS = 0b0010
 ACK_COMPLETION = 0b0001
 
-_NS_PER_S = 1_000_000_000
 _FINE_PER_S = 1 << 24
 
 
@@ -75,12 +75,12 @@ class CucTime:
     @classmethod
     def from_ns(cls, tai_ns: int) -> CucTime:
         """The last tick (59.6 ns) at or before ``tai_ns``, integer nanoseconds of TAI since 1958-01-01."""
-        coarse, rest_ns = divmod(tai_ns, _NS_PER_S)
-        return cls(coarse, rest_ns * _FINE_PER_S // _NS_PER_S)
+        coarse, rest_ns = divmod(tai_ns, NS_PER_S)
+        return cls(coarse, rest_ns * _FINE_PER_S // NS_PER_S)
 
     def to_ns(self) -> int:
         """Nanoseconds of TAI since 1958-01-01, rounded up, so that ``from_ns(t.to_ns()) == t``."""
-        return self.coarse * _NS_PER_S - (-self.fine * _NS_PER_S // _FINE_PER_S)
+        return self.coarse * NS_PER_S - (-self.fine * NS_PER_S // _FINE_PER_S)
 
     def as_bytes(self) -> bytes:
         """The 7 bytes of the T-field."""

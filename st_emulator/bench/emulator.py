@@ -20,8 +20,7 @@ from ..device.imaging import FrameRecord, FrameSource, Lazy, Submit
 from ..device.star_tracker import StarTracker
 from ..device.store import Store, StoreContents, VolatileStore
 from ..dialects.dialect import CanWire, Dialect, SerialWire
-from ..dialects.registry import dialect_of, settings_of
-from ..errors import ConfigurationError
+from ..dialects.registry import dialect_of, require_wire, settings_of
 from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile
 from ..wire.can.bus import Disturbance
@@ -191,19 +190,16 @@ class Emulator:
             ConfigurationError: the language has no such wire.
         """
         definition, settings = dialect_of(self.profile), settings_of(self.profile)
+        require_wire(self.profile, self.can is not None)
         if self.can is not None:
-            if definition.on_can is None:
-                raise ConfigurationError(
-                    f"dialect {definition.name}: has no CAN bus; allowed is a serial line"
-                )
+            assert definition.on_can is not None
             wire = CanWire(self.clock, self.can, self._transmitted, self._disturbance)
-            made: Dialect = definition.on_can(self.device, wire, settings)
-            return made
-        if definition.on_serial is None:
-            raise ConfigurationError(f"dialect {definition.name}: knows no serial line; give a CAN bus")
+            on_can: Dialect = definition.on_can(self.device, wire, settings)
+            return on_can
+        assert definition.on_serial is not None
         line = SerialWire(self.clock, self.baud, self._transmitted, self._pace_reception)
-        made = definition.on_serial(self.device, line, settings)
-        return made
+        on_serial: Dialect = definition.on_serial(self.device, line, settings)
+        return on_serial
 
     def _transmitted(self, data: bytes) -> bool:
         """Whether the link took it; what a CAN link does not take now is offered again."""

@@ -2,9 +2,9 @@
 
 First line: what was run (format, unit file, scenario, seed, stored parameters), so that a journal can be
 replayed alone. Then one line a group of bytes: ``{"t_ns": 1234, "rx": "c0..."}`` when the OBC's bytes were
-put on the line, ``"tx"`` when the unit's last bit of the group has left. On a CAN bus a group is the record of a
-frame (see ``protocol.can.frames``); ``"refused"`` is one that the link did not take. It holds virtual times
-only: the same run gives the same file at any speed.
+put on the line, ``"tx"`` when the unit's last bit of the group has left. On a CAN bus a group is the record
+of a frame (see ``protocol.can.frames``); ``"refused"`` is one that the link did not take. It holds virtual
+times only: the same run gives the same file at any speed.
 """
 
 from __future__ import annotations

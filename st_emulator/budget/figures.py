@@ -14,7 +14,6 @@ from .samples import Counts, work_of
 
 FRAME = "frame"  # the sum of the stages
 ROWS = (*STAGES, FRAME)
-NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True)

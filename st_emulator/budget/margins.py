@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..campaigns.confidence import share
+from ..clock import NS_PER_MS
 from .figures import Cost, Costing, Distribution, Figure, distribution
 from .subject import Subject
-
-NS_PER_S = 1_000_000_000
-NS_PER_MS = 1_000_000
 
 
 @dataclass(frozen=True)

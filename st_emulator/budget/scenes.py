@@ -14,10 +14,12 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bench.frame_context import synchronised_context
 from ..bench.scenario import Scenario
 from ..bench.star_tables import star_tables
 from ..bench.world_of import bodies_of, camera_model, scene_of, sky_of
 from ..campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_section
+from ..compiled_kernels import keep_compiled_kernels
 from ..device.calibration import firmware_configuration
 from ..device.parameters import default_parameters
 from ..firmware_model.configuration import FirmwareConfiguration, StarTables
@@ -223,13 +225,8 @@ def _chain(
             start_ns += (frames_lost + 1) * period_ns
             index += frames_lost + 1
         frame = renderer.frame(index, start_ns, configuration.exposure_ns)
-        context = FrameContext(
-            frame_index=number,
-            acquisition=Mode.LOST_IN_SPACE if before is None else Mode.TRACKING,
-            t_mid_ns=frame.exposure_mid_ns,
-            exposure_ns=frame.exposure_ns,
-            tai_ns=renderer.start_tai_ns + frame.exposure_mid_ns,
-        )
+        acquisition = Mode.LOST_IN_SPACE if before is None else Mode.TRACKING
+        context = synchronised_context(frame, number, acquisition, renderer.start_tai_ns)
         inputs = FrameInputs(frame, context, state, configuration, tables, conditions, acquired)
         yield inputs
         if number == tracked:
@@ -282,6 +279,7 @@ def _bare_renderer(profile_json: str, hot_pixel_fraction: float | None) -> Scene
     if hot_pixel_fraction is not None:
         profile = with_section(profile, "detector", hot_pixel_fraction=hot_pixel_fraction)
     start = start_tai_ns()
+    keep_compiled_kernels()
     return SceneRenderer(
         camera_model(profile),
         sky_of(start),

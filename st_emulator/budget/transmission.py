@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ..clock import NS_PER_S
 from ..firmware_model.work import Work
 from ..protocol.can.bits import frame_duration_ns
 from ..protocol.can.cyclic import CAN_MESSAGES_BY_NAME
@@ -16,7 +17,6 @@ from ..protocol.pus.registry import REGISTRY, encode_telemetry
 from ..wire.serial_line import BITS_PER_BYTE
 from .subject import Subject
 
-NS_PER_S = 1_000_000_000
 # SLIP escapes two of the 256 values of a byte.
 SHARE_ESCAPED = 2 / 256
 

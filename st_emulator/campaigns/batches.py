@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from ..compiled_kernels import keep_compiled_kernels
 from ..errors import ConfigurationError
 from .outcome_codec import encode
 from .results_file import program_fingerprint
@@ -39,6 +40,7 @@ def run_batch(batch: Batch) -> BatchOutcome:
     """Run the cases of a batch; one that fails does not take the others with it."""
     items: list[tuple[str, Any]] = []
     with _one_at_a_time:
+        keep_compiled_kernels()
         for case in batch.cases:
             try:
                 items.append(("", encode(batch.function(case))))

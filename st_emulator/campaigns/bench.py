@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bench.frame_context import synchronised_context
 from ..bench.scenario import Scenario, Sky
 from ..bench.star_tables import star_tables
 from ..bench.world_of import bodies_of, camera_model, sky_of
+from ..compiled_kernels import keep_compiled_kernels
 from ..device.calibration import firmware_configuration
 from ..device.parameters import default_parameters
 from ..firmware_model.configuration import FirmwareConfiguration
-from ..firmware_model.firmware import FirmwareState, FrameContext, FrameResult, process_frame
+from ..firmware_model.firmware import FirmwareState, FrameResult, process_frame
 from ..firmware_model.modes import Mode
 from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile
@@ -53,6 +55,7 @@ def _scene(profile_json: str, seed: int, sky_json: str) -> SceneRenderer:
     profile = UnitProfile.model_validate_json(profile_json)
     sky = Sky.model_validate_json(sky_json)
     start = start_tai_ns()
+    keep_compiled_kernels()
     return SceneRenderer(
         camera_model(profile),
         sky_of(start),
@@ -102,13 +105,7 @@ class Chain:
     def step(self, index: int) -> tuple[RenderedFrame, FrameResult]:
         """Expose and process frame ``index``; the state goes on."""
         frame = self.expose(index)
-        context = FrameContext(
-            frame_index=index,
-            acquisition=self.acquisition,
-            t_mid_ns=frame.exposure_mid_ns,
-            exposure_ns=frame.exposure_ns,
-            tai_ns=self.scene.start_tai_ns + frame.exposure_mid_ns,
-        )
+        context = synchronised_context(frame, index, self.acquisition, self.scene.start_tai_ns)
         result = process_frame(frame, context, self.state, self.configuration, star_tables(self.profile))
         self.state, self.acquisition = result.state, result.acquisition_after
         return frame, result

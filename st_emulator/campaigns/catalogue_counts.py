@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..compiled_kernels import keep_compiled_kernels
 from ..firmware_model.catalogue.pairs import build_pair_catalogue
 from ..firmware_model.catalogue.star_catalogue import build_star_catalogue
 from ..report import TextTable, check
@@ -35,6 +36,7 @@ REASON = (
 
 def pairs_under(stars: StarField, limit_mag: float, angle_deg: float) -> tuple[int, int]:
     """(stars, pairs at most angle_deg apart) of the stars with Hp < limit_mag, none of them merged."""
+    keep_compiled_kernels()
     catalogue = build_star_catalogue(stars.hip, stars.unit_vectors, stars.hp_mag, limit_mag, 0.0)
     return len(catalogue), len(build_pair_catalogue(catalogue, float(np.radians(angle_deg))))
 

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiled_kernels import keep_compiled_kernels
 from ..firmware_model.catalogue.pairs import build_pair_catalogue
 from ..firmware_model.catalogue.star_catalogue import StarCatalogue, build_star_catalogue
 from ..firmware_model.catalogue.tables import StarTables
@@ -92,6 +93,7 @@ def scene_tables(
     resolution_arcsec: closer stars are one; 0: all are kept, the catalogue's rows are those of
     ``star_field(epoch_jyear, limit_mag)``.
     """
+    keep_compiled_kernels()
     deeper = limit_mag + COMPANION_MAG if resolution_arcsec > 0 else limit_mag
     stars = star_field(epoch_jyear, deeper)
     catalogue = build_star_catalogue(

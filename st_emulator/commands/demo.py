@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -32,6 +31,7 @@ from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile, load_unit
 from ..units.validation import validate
 from ..world import quaternion
+from .series import Series
 
 ARCSEC_PER_RAD = 180 / np.pi * 3600
 SLEW_SHARE = (0.55, 0.8)  # of the run
@@ -324,19 +324,6 @@ def _await_boot(process: subprocess.Popen[str], obc: Obc) -> int:
                 raise
     last = obc.telemetry_since()[-1]
     return last.time_ns - last.telemetry.time.to_ns()
-
-
-@dataclass
-class Series:
-    """The run over time, for the picture."""
-
-    t_s: NDArray[np.float64]
-    mode: NDArray[np.int64]
-    valid: NDArray[np.bool_]
-    at_rest: NDArray[np.bool_]
-    error_arcsec: NDArray[np.float64]
-    frame_index: NDArray[np.int64]
-    modes: list[tuple[float, Mode]]
 
 
 def read_truth(path: Path) -> dict[int, dict[str, Any]]:

@@ -20,7 +20,7 @@ from ..protocol.pus.enumerations import Mode
 from ..units.profile import UnitProfile
 
 if TYPE_CHECKING:
-    from .demo import Series
+    from .series import Series
 
 WINDOW_COLOUR = "#ffb000"
 STAR_COLOUR = "#40c4ff"

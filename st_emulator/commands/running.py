@@ -20,7 +20,7 @@ from ..bench.scenario_inputs import check_inputs
 from ..clock import NS_PER_S
 from ..device.imaging import Lazy
 from ..device.store import FileStore, Store, VolatileStore
-from ..dialects.registry import check_wire
+from ..dialects.registry import dialect_of, require_wire, with_dialect
 from ..drivers.realtime import FrameWorker, StopSignal, run_paced, run_unpaced
 from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
@@ -37,6 +37,7 @@ class RunOptions:
     """The command line of ``run``."""
 
     unit: str
+    dialect: str | None = None
     link: str | None = None
     node: int | None = None
     scenario: Path | None = None
@@ -163,8 +164,9 @@ def run_unit(options: RunOptions) -> None:
         )
     if options.node is not None and specification.kind != "can":
         raise ConfigurationError(f"--node {options.node}: only with --link can:...; {link_text} has no nodes")
-    profile = load_unit(options.unit)
-    check_wire(profile, can=specification.kind == "can")
+    profile = with_dialect(load_unit(options.unit), options.dialect)
+    if live:
+        require_wire(profile, specification.kind == "can")
     scenario = scenario_of(options, live)
     check_inputs(profile, scenario)
     duration_s = options.seconds if options.seconds is not None else scenario.duration_s
@@ -212,7 +214,7 @@ def run_unit(options: RunOptions) -> None:
             submit=worker.submit if worker is not None else Lazy,
             pace_reception=specification.kind != "serial",
             baud=specification.baud,
-            can=wiring_of(specification, link, options.node),
+            can=wiring_of(profile, specification, link, options.node),
         )
         _announce(console, emulator, link, options, store_text, duration_s)
         until_ns = None if duration_s is None else round(duration_s * NS_PER_S)
@@ -239,8 +241,12 @@ def run_unit(options: RunOptions) -> None:
         )
 
 
-def wiring_of(specification: LinkSpecification, link: Link, node: int | None) -> CanWiring | None:
-    """How the unit is on a CAN bus; None on any other link."""
+def wiring_of(
+    profile: UnitProfile, specification: LinkSpecification, link: Link, node: int | None
+) -> CanWiring | None:
+    """How the unit is on a CAN bus; None on its serial line. Without a link it is where its dialect lives."""
+    if specification.kind == "none" and dialect_of(profile).on_serial is None:
+        return CanWiring()
     if specification.kind != "can":
         return None
     hardware = bool(getattr(link, "hardware", False))

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from ..bench.frame_context import undated_context
 from ..bench.scenario import Scenario
 from ..bench.scenario_inputs import check_inputs
 from ..bench.star_tables import star_tables
 from ..device.calibration import firmware_configuration, processor_profile
 from ..device.parameters import default_parameters
-from ..firmware_model.firmware import FirmwareState, FrameContext, process_frame
-from ..firmware_model.modes import Mode
+from ..firmware_model.firmware import FirmwareState, process_frame
 from ..report import Check, all_hold, check, require_json_path, show_checks, show_figures, write_json
 from ..units.profile import load_unit
 from ..world import quaternion
@@ -37,13 +37,7 @@ def solve_image(image: Path, unit: str, json_path: str | None, picture: Path | N
     check_inputs(profile, Scenario())
     frame = RecordedFrames([image], profile.detector.columns, profile.detector.rows)[0]
     configuration = firmware_configuration(profile, default_parameters(profile))
-    context = FrameContext(
-        frame_index=0,
-        acquisition=Mode.LOST_IN_SPACE,
-        t_mid_ns=configuration.exposure_ns // 2,
-        exposure_ns=configuration.exposure_ns,
-        tai_ns=None,
-    )
+    context = undated_context(configuration.exposure_ns)
     result = process_frame(frame, context, FirmwareState.initial(), configuration, star_tables(profile))
     cycles = processor_profile(profile).cycles(result.work)
     figures: dict[str, object] = {"image": str(image), "unit": profile.name, "valid": result.valid}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from ..bench.emulator import Emulator
 from ..bench.scenario import Scenario, ScenarioTelecommand, Sky
 from ..bench.star_tables import star_tables
+from ..compiled_kernels import keep_compiled_kernels
 from ..units.profile import UnitProfile
 
 WARM_UP_S = 2.6
@@ -42,8 +42,8 @@ def warm_up(profile: UnitProfile) -> None:
 
 
 def _marker() -> Path:
-    """Says that the kernels beside it are compiled. (The package sets the folder where the user has not.)"""
-    return Path(os.environ["NUMBA_CACHE_DIR"]) / "warmed-up"
+    """Says that the kernels beside it are compiled."""
+    return keep_compiled_kernels() / "warmed-up"
 
 
 def compile_apart(profile: UnitProfile) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..compiled_kernels import keep_compiled_kernels
 from ..errors import ConfigurationError
 from ..firmware_model.configuration import CentroidError, FirmwareConfiguration
 from ..firmware_model.cycle_table import LINE_FILLS, ProcessorProfileError, load_table
@@ -29,6 +30,7 @@ def camera_geometry(profile: UnitProfile) -> CameraGeometry:
     """The calibration that the firmware holds. ASSUMED: it is exact; an error of it would be one more
     figure of the unit.
     """
+    keep_compiled_kernels()  # the first of all that the firmware's configuration and the tables are made of
     cx_px, cy_px = profile.principal_point_px
     optics = profile.optics
     return CameraGeometry(

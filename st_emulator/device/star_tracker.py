@@ -143,6 +143,11 @@ class StarTracker:
         self.imaging.halt()
         self._off(ModeEvent.POWER_OFF)
 
+    def restart(self, cause: ResetCause) -> None:
+        """Start anew at once, as the watchdog does: what waits to be sent is lost. Nothing without power."""
+        if self.mode != Mode.OFF:
+            self._boot(ModeEvent.COMMAND_RESET, cause)
+
     def later(self, delay_ns: int, action: Callable[[], None]) -> ScheduledEvent:
         """Schedule an action that a reset makes void."""
         life = self._life
@@ -243,6 +248,7 @@ class StarTracker:
         if transition(self.mode, ModeEvent.FAULT_DETECTED) is None:
             return
         self.imaging.stop()
+        self._health.reset()  # the self-test judges anew
         self.image_memory.abort_capture()
         self._give_up_acquisition(Failure.ABORTED)
         self._give_up_self_test()

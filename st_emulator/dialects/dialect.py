@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from ..clock import VirtualClock
 from ..device.reports import Report
@@ -137,7 +137,9 @@ class DemoSession(Protocol):
     def say(self, text: str) -> None:
         """A line for people: what is done or was found."""
 
-    def check(self, name: str, value: float, relation: str, target: float, unit: str) -> None:
+    def check(
+        self, name: str, value: float, relation: Literal["<=", ">=", "=="], target: float, unit: str
+    ) -> None:
         """Something that must hold: ``value relation target``, the relation one of ==, <=, >=."""
 
 

@@ -72,11 +72,25 @@ def dialect_of(profile: UnitProfile) -> DialectDefinition[Any]:
     Raises:
         ConfigurationError: names the file, the key and what is allowed.
     """
-    file = Path(profile.origin) if profile.origin else None
     try:
-        return dialect_named(profile.wire.dialect, file.parent if file is not None else None)
+        return dialect_named(profile.wire.dialect, _folder(profile))
     except ConfigurationError as error:
         raise ConfigurationError(f"{_where(profile)}: wire.dialect: {error}") from error
+
+
+def with_dialect(profile: UnitProfile, name: str | None) -> UnitProfile:
+    """The unit speaking another dialect, that of ``--dialect``; None: its own.
+
+    Raises:
+        ConfigurationError: no such dialect.
+    """
+    if name is None:
+        return profile
+    try:
+        dialect_named(name, _folder(profile))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"--dialect: {error}") from error
+    return profile.model_copy(update={"wire": profile.wire.model_copy(update={"dialect": name})})
 
 
 def settings_of(profile: UnitProfile) -> Section:
@@ -102,8 +116,8 @@ def settings_of(profile: UnitProfile) -> Section:
     return settings
 
 
-def check_wire(profile: UnitProfile, *, can: bool) -> None:
-    """Refuse a wire that a unit's dialect does not know; ``can``: a CAN bus, else a serial line.
+def require_wire(profile: UnitProfile, can: bool) -> None:
+    """Refuse a wire that the unit's dialect does not have; ``can``: a CAN bus, else a serial line.
 
     Raises:
         ConfigurationError: names the file, the key and what is allowed.
@@ -123,3 +137,8 @@ def check_wire(profile: UnitProfile, *, can: bool) -> None:
 
 def _where(profile: UnitProfile) -> str:
     return profile.origin or profile.name
+
+
+def _folder(profile: UnitProfile) -> Path | None:
+    """The folder of the file that a unit came from."""
+    return Path(profile.origin).parent if profile.origin else None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
+from ..clock import NS_PER_S
 from ..links import LinkError
 from ..protocol.can.bits import frame_duration_ns
 from ..protocol.can.cyclic import CAN_MESSAGES_BY_NAME, CanIdentifiers, encode_can_message
@@ -19,7 +20,6 @@ from .cyclic import CyclicAttitude, CyclicFrame, cuc_time
 from .errors import NoBusError, TelemetryTimeout
 from .exchange import DEFAULT_TIMEOUT_S, Exchange
 from .observed import Event
-from .verification import NS_PER_S
 
 FINE_PER_S = 1 << 24
 SYNC_COUNTERS = 256

@@ -10,8 +10,9 @@ from ..protocol.can.cyclic import CAN_MESSAGES_BY_NAME, Signal
 from ..protocol.can.frames import CLASSIC_BYTES, CanFrame
 from ..protocol.errors import LocalProtocolError
 from ..protocol.pus.enumerations import Reason
-from ..tai import seconds, tai_ns_from_utc
+from ..tai import tai_ns_from_utc
 from .bus import CYCLIC_NAMES
+from .cuc_time import seconds
 from .cyclic import CyclicAttitude, CyclicFrame
 from .desk import Action, Arguments, Desk, octets
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..clock import NS_PER_S
 from ..naming import member, name_of, parameter_name
 from ..protocol.pus.enumerations import (
     EventId,
@@ -28,7 +29,7 @@ from .errors import DownloadError, TelecommandTimeout, TelemetryTimeout, Verific
 from .exchange import DEFAULT_TIMEOUT_S
 from .image import Image, ImageAssembler
 from .observed import Event
-from .verification import NS_PER_S, State, Verification
+from .verification import State, Verification
 
 DOWNLOAD_ROUNDS = 5
 _SET_TIME_BYTES = 20

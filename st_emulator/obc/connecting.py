@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from ..clock import NS_PER_MS
 from ..errors import ConfigurationError
 from ..links import Link, LinkSpecification, open_link, parse_link
 from ..protocol.can.cyclic import NODES, CanIdentifiers
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from ..units.profile import UnitProfile
 
 DEFAULT_BAUD = 115_200
-_NS_PER_MS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def _can_transport(
         settings = CanSettings(
             fd=specification.fd,
             padding=can.padding_byte,
-            timeout_ns=can.timeout_ms * _NS_PER_MS,
+            timeout_ns=can.timeout_ms * NS_PER_MS,
             bitrate=can.bitrate,
             data_bitrate=can.data_bitrate,
         )

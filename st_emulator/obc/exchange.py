@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from ..clock import NS_PER_S
 from ..links import Link
 from ..naming import member, name_of
 from ..protocol.pus.enumerations import EventId
@@ -24,7 +25,7 @@ from .observed import EVENT_REPORTS, Event, ObservedUnit
 from .reading import LiveReader, Reader
 from .recorder import Recorder
 from .transport import CanFrameSeen, CyclicReceived, SlipTransport, Transport
-from .verification import NS_PER_S, State, Verification
+from .verification import State, Verification
 
 KEPT_PACKETS = 10_000
 DEFAULT_TIMEOUT_S = 5.0

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+from ..clock import NS_PER_S
 from ..naming import field_text, member
 from ..protocol.pus.enumerations import HousekeepingId, Mode
 from ..protocol.pus.fields import Element, Field
@@ -14,11 +15,10 @@ from ..protocol.pus.housekeeping import HOUSEKEEPING_TABLE
 from ..protocol.pus.parameters import PARAMETER_TABLE
 from ..protocol.pus.registry import REGISTRY
 from ..report import Check
-from ..tai import seconds
 from .attitude import Attitude
 from .client import Obc
 from .counters import CanCounters
-from .verification import NS_PER_S
+from .cuc_time import seconds
 
 OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
     "==": operator.eq,

@@ -21,6 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
 
+from ..clock import NS_PER_S
 from ..naming import name_of, plain
 from ..protocol.can.frames import candump_line
 from ..protocol.can.transport import FrameIgnored, ReceptionFailed
@@ -42,7 +43,6 @@ CYCLIC_FILE = "cyclic.jsonl"
 FRAME_FILE = "can.log"
 UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MAX_CHANNEL_NAME = 15  # as of a network interface
-_NS_PER_S = 1e9
 _TABLE_NAMES = {"attitude_report": "attitude"}
 _WITHOUT_TABLE = (*PART_NAMES, "memory_dump_report")
 
@@ -169,7 +169,7 @@ class Recorder:
         return open(self.folder / name, "w", encoding="utf-8", buffering=1, newline="")
 
     def _seconds(self, time_ns: int) -> float:
-        return round((time_ns - self._start_ns) / _NS_PER_S, 9)
+        return round((time_ns - self._start_ns) / NS_PER_S, 9)
 
     def _frame(self, event: CanFrameSeen) -> None:
         if self._frames is None:

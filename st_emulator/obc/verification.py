@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 
+from ..clock import NS_PER_S
 from ..protocol.pus.enumerations import MEANINGS, FailureCode, TransferFailure
 from ..protocol.pus.packets import ACK_ACCEPTANCE, ACK_COMPLETION, ACK_START, RequestId, Telemetry
 
-NS_PER_S = 1_000_000_000
 VERIFICATION_SERVICE = 1
 
 

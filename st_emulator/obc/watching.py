@@ -8,10 +8,10 @@ from rich.table import Table
 
 from ..naming import name_of
 from ..protocol.pus.enumerations import Mode, Reason, TimeStatus
-from ..tai import seconds, utc_from_cuc
 from .attitude import Attitude
 from .client import Obc
 from .counters import CanCounters
+from .cuc_time import seconds, utc_from_cuc
 
 REFRESH_S = 0.25
 SHOWN_EVENTS = 6

@@ -51,7 +51,7 @@ _ONE_DRAW_VARIANCE = np.float32(40.0)
 _ONE_DRAW_READ_NOISE = 0.7  # electrons; below it, whole electrons would show between the lines
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _mix(word: np.uint64) -> np.uint64:
     word = (word ^ (word >> _S30)) * _MIX_1
     word = (word ^ (word >> _S27)) * _MIX_2
@@ -69,7 +69,7 @@ def stream_key(seed: int, stream: int, number: int = 0) -> np.uint64:
     return np.uint64(word)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _upper_tail(p: float) -> float:
     """x with P(X > x) = p of the standard normal distribution, 0 < p < 0.075 (AS 241, PPND16, both outer
     regions)."""
@@ -116,7 +116,7 @@ def _central_table() -> F32:
 NORMAL_TABLE: F32 = _central_table()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _normal(word: np.uint64, table: F32) -> np.float32:
     """One standard normal deviate from a word: bit 63 the sign, bits 32-62 the place in the half
     distribution."""
@@ -132,7 +132,7 @@ def _normal(word: np.uint64, table: F32) -> np.float32:
     return -value if top < 0 else value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def words_of(key: np.uint64, first: int, words: U64) -> None:
     """words[i] = the word of pixel number first + i."""
     start = np.uint64(first)
@@ -140,7 +140,7 @@ def words_of(key: np.uint64, first: int, words: U64) -> None:
         words[i] = _mix(key + (start + np.uint64(i)) * _GOLDEN)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def normals_of(words: U64, table: F32, deviates: F32) -> None:
     """deviates[i] = `_normal` (words[i]), the table's part in one loop without branches."""
     for i in range(words.shape[0]):
@@ -155,7 +155,7 @@ def normals_of(words: U64, table: F32, deviates: F32) -> None:
             deviates[i] = _normal(words[i], table)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _poisson(mean: np.float32, word: np.uint64, table: F32) -> np.float32:
     """A Poisson number: exact inversion below a mean of 30, else a rounded Cornish-Fisher expansion."""
     if mean < _POISSON_EXACT_BELOW:
@@ -174,7 +174,7 @@ def _poisson(mean: np.float32, word: np.uint64, table: F32) -> np.float32:
     return np.float32(math.floor(x + 0.5))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def digitise(
     mean: F32, words: U64, deviates: F32, table: F32, detector: F32, out: NDArray[np.uint16]
 ) -> None:
@@ -245,7 +245,7 @@ def detector_constants(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def fixed_pattern(
     keys: U64,
     table: F32,

@@ -40,7 +40,7 @@ def _phi_table() -> F64:
 PHI_TABLE: F64 = _phi_table()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def phi(x: float, table: F64) -> float:
     """The normal distribution function at x, clamped to +-7."""
     x = min(max(x, -_LIMIT), _LIMIT)
@@ -53,7 +53,7 @@ def phi(x: float, table: F64) -> float:
     return float(table[row, 0] + table[row, 1] * d * series)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _shares(first: int, end: int, centre: float, inverse_sigma: float, table: F64, out: F64) -> None:
     """out[i - first] = the share of the light on pixels i = first .. end - 1 of one axis."""
     left = phi((first - 0.5 - centre) * inverse_sigma, table)
@@ -86,7 +86,7 @@ class Scene(NamedTuple):
     exposure_s: float
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def stars_near(rect: I32, box: I32) -> I32:
     """Numbers of the stars whose light touches a rectangle (x0, y0, x1, y1, half-open), in their order."""
     near = np.empty(box.shape[0], np.int32)
@@ -98,7 +98,7 @@ def stars_near(rect: I32, box: I32) -> I32:
     return near[:n]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def add_stars(x0: int, y0: int, scene: Scene, near: I32, share_x: F64, share_y: F64, signal: F32) -> None:
     """Adds the stars' electrons to signal[row - y0, column - x0], stars and sub-steps in their order.
 
@@ -130,7 +130,7 @@ def add_stars(x0: int, y0: int, scene: Scene, near: I32, share_x: F64, share_y: 
                     signal[r - y0, c - x0] += np.float32(row_light * share_x[c - c0])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def add_background(x0: int, y0: int, scene: Scene, signal: F32) -> None:
     """Star light in, mean charge out: adds stray light, applies the response, adds the dark current."""
     w = signal.shape[1]
@@ -149,7 +149,7 @@ def add_background(x0: int, y0: int, scene: Scene, signal: F32) -> None:
             row[c] = (row[c] + uniform) * gains[c] + currents[c] * time
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def expose(rect: I32, scene: Scene) -> F32:
     """Mean electrons of the pixels of a rectangle (x0, y0, x1, y1, half-open): float32[rows, columns]."""
     w, h = rect[2] - rect[0], rect[3] - rect[1]
@@ -159,7 +159,7 @@ def expose(rect: I32, scene: Scene) -> F32:
     return signal
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def render(
     rects: I32,
     scene: Scene,

@@ -65,7 +65,7 @@ class StarIndex:
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def stars_within(
     axis: F64,
     radius: float,
@@ -101,7 +101,7 @@ def stars_within(
     return found[:n].copy()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def matrix_of(q: F64, matrix: F64) -> None:
     """As `quaternion.attitude_matrix`, for one quaternion."""
     x, y, z, w = q[0], q[1], q[2], q[3]
@@ -116,7 +116,7 @@ def matrix_of(q: F64, matrix: F64) -> None:
     matrix[2, 2] = w * w - x * x - y * y + z * z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def turned(q: F64) -> tuple[float, float]:
     """Along attitudes [n, 4]: angles turned across and about the boresight, rad, summed over the steps."""
     across = 0.0
@@ -134,7 +134,7 @@ def turned(q: F64) -> tuple[float, float]:
     return across, about
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def image_paths(
     chosen: I32,
     vectors: F64,

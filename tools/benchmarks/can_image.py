@@ -8,10 +8,10 @@ from ideal_obc import IdealObc
 from running_unit import SCENARIO
 
 from st_emulator.bench.scenario import parse_scenario
+from st_emulator.clock import NS_PER_S
 from st_emulator.protocol.pus.enumerations import FunctionId
 from st_emulator.units.profile import load_unit
 
-NS_PER_S = 1_000_000_000
 WARM_UP_S = 5
 PARTS = ("image_first_part", "image_part", "image_last_part")
 
@@ -37,7 +37,7 @@ def measure(unit: str) -> dict[str, Any]:
     rate = image_bytes / taken_ns
     others = [packet for _, packet in obc.packets[begun:] if packet.name not in PARTS]
     return {
-        "bitrate": obc.emulator.unit.port.settings.bus.bitrate,  # type: ignore[attr-defined]
+        "bitrate": obc.emulator.dialect.port.settings.bus.bitrate,  # type: ignore[attr-defined]
         "image_bytes": image_bytes,
         "largest_packet_bytes": max(len(part.raw) for part in parts),
         "seconds": round(taken_ns / NS_PER_S, 3),

@@ -12,12 +12,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from st_emulator.clock import NS_PER_S
 from st_emulator.links import Link, open_link
 from st_emulator.protocol.framing import FrameReceived, SlipDecoder
 from st_emulator.protocol.pus.packets import MAX_TELEMETRY_BYTES, Telemetry
 from st_emulator.protocol.pus.registry import parse_telemetry
 
-NS_PER_S = 1_000_000_000
 START_TIMEOUT_S = 300.0
 LINK_POLL_S = 0.002
 

@@ -10,8 +10,8 @@ from typing import Any
 from unittest.mock import patch
 
 from st_emulator.device import imaging, parameters
-from st_emulator.device.star_tracker import StarTracker
-from st_emulator.firmware_model import firmware
+from st_emulator.dialects.pus.dialect import PusDialect
+from st_emulator.firmware_model import firmware, frame_search
 from st_emulator.world.scene import RenderedFrame
 
 STAGES: tuple[tuple[str, object, str], ...] = (
@@ -21,9 +21,9 @@ STAGES: tuple[tuple[str, object, str], ...] = (
     ("detect", firmware, "detect_in_windows"),
     ("identify", firmware, "plan_windows"),
     ("identify", firmware, "verify_by_pivot"),
-    ("attitude", firmware, "robust_q_method"),
+    ("attitude", frame_search, "robust_q_method"),
     ("firmware_rest", imaging, "process_frame"),
-    ("packet", StarTracker, "send"),
+    ("packet", PusDialect, "send"),
 )
 
 

@@ -62,6 +62,7 @@ def one_round(
         Scenario,
         ScenarioTelecommand,
     )
+    from st_emulator.device.commands import Acquire
     from st_emulator.device.imaging import FrameRecord
     from st_emulator.units.profile import load_unit
 
@@ -91,7 +92,7 @@ def one_round(
         processed += 1
         valid += record.result.valid and record.acquisition.name == wanted_mode
         if search == "lost_in_space":
-            emulator.unit.start_acquisition()  # the frame in flight is given up unprocessed
+            emulator.device.execute(Acquire())  # the frame in flight is given up unprocessed
 
     emulator = Emulator(
         profile,

@@ -17,9 +17,9 @@ from spread import of_delays
 
 from st_emulator.bench.journal import Journal, read_journal
 from st_emulator.bench.scenario import parse_scenario
+from st_emulator.clock import NS_PER_S
 from st_emulator.units.profile import load_unit
 
-NS_PER_S = 1_000_000_000
 SETTLE_S = 30.0  # start of the machine and the unit, the image at the end
 PING = (17, 1)
 FIRST_FRAME, SINGLE_FRAME = 1, 0

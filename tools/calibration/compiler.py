@@ -47,6 +47,9 @@ COMPILE_FLAGS = (
     "-fno-stack-protector",
     "-fno-asynchronous-unwind-tables",
 )
+# Debug information, from which struct_layout.py reads the structs. It changes nothing of the code, and of it
+# nothing is loaded or hashed; the folder of the sources is left out by -fdebug-prefix-map.
+DEBUG_FLAGS = ("-g", "-gno-record-gcc-switches")
 # No start files and of the C library only what the linker asks for: runtime/start.c answers for the rest.
 LINK_FLAGS = (
     *PROCESSOR_FLAGS,
@@ -58,6 +61,7 @@ LINK_FLAGS = (
     "-Wl,-e,_start",
     "-Wl,-z,noexecstack",
 )
+STRIP_DEBUG = "-Wl,--strip-debug"
 LIBRARIES = ("m", "c", "gcc")
 ELF_NAME = "kernels.elf"
 MANIFEST_NAME = "build.json"
@@ -87,7 +91,11 @@ class Compiler:
 
 @dataclass(frozen=True)
 class Build:
-    """A program of all kernels. sha256: of the program, of each object file, of each library, by name."""
+    """A program of all kernels, with debug information.
+
+    sha256: of the program and of each object file, both without debug information, and of each library, by
+    name. flags: what decides the code.
+    """
 
     elf: Path
     compiler: str
@@ -118,8 +126,9 @@ def _inspect(path: str) -> Compiler | None:
 def build(folder: Path, *, sources: Path = KERNELS) -> Build:
     """Compile every C file under ``sources`` and link them into ``folder / kernels.elf``.
 
-    The object files stay in ``folder / objects`` under their sources' names. The bytes depend on sources,
-    compiler and its libraries alone. Raises CompilerMissingError; BuildError naming the file.
+    The object files stay in ``folder / objects`` under their sources' names, and without debug information in
+    ``folder / hashed`` with the program. The bytes depend on sources, compiler and its libraries alone.
+    Raises CompilerMissingError; BuildError naming the file.
     """
     compiler = _require_compiler()
     files = sorted(path.relative_to(sources) for path in sources.rglob("*.c"))
@@ -134,10 +143,17 @@ def build(folder: Path, *, sources: Path = KERNELS) -> Build:
     libraries = ("-Wl,--start-group", *(f"-l{name}" for name in LIBRARIES), "-Wl,--end-group")
     names = [path.relative_to(objects).as_posix() for path in made]
     # In the objects' folder and by relative names: no path of this computer gets into the program.
-    link = (*LINK_FLAGS, f"-Wl,-Map={(folder / 'kernels.map').resolve()}", *names, *libraries)
-    _run(compiler, (*link, "-o", str(elf.resolve())), objects, "the program does not link")
-    hashes = {elf.name: _sha256(elf)}
-    hashes |= {name: _sha256(path) for name, path in zip(names, made, strict=True)}
+    link = (*LINK_FLAGS, *names, *libraries, "-o")
+    failure = "the program does not link"
+    listing = f"-Wl,-Map={(folder / 'kernels.map').resolve()}"
+    _run(compiler, (listing, *link, str(elf.resolve())), objects, failure)
+    hashed = folder / "hashed"
+    for name in names:
+        (hashed / name).parent.mkdir(parents=True, exist_ok=True)
+        bare = (*PROCESSOR_FLAGS, "-r", "-nostdlib", STRIP_DEBUG, name, "-o", str((hashed / name).resolve()))
+        _run(compiler, bare, objects, failure)
+    _run(compiler, (STRIP_DEBUG, *link, str((hashed / elf.name).resolve())), objects, failure)
+    hashes = {name: _sha256(hashed / name) for name in (elf.name, *names)}
     return Build(elf, compiler.version, (*COMPILE_FLAGS, *LINK_FLAGS), hashes | compiler.libraries)
 
 
@@ -174,7 +190,8 @@ def _require_compiler() -> Compiler:
 
 def _compile(compiler: Compiler, sources: Path, file: Path, objects: Path) -> Path:
     target = (objects / file).with_suffix(".o")
-    arguments = (*COMPILE_FLAGS, "-I.", "-c", file.as_posix(), "-o", str(target.resolve()))
+    debug = (*DEBUG_FLAGS, f"-fdebug-prefix-map={sources.resolve()}=.")
+    arguments = (*COMPILE_FLAGS, *debug, "-I.", "-c", file.as_posix(), "-o", str(target.resolve()))
     _run(compiler, arguments, sources, f"{file.as_posix()} does not compile")
     return target
 

@@ -17,13 +17,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from st_emulator.bench.frame_context import synchronised_context
 from st_emulator.bench.star_tables import star_tables
 from st_emulator.bench.world_of import camera_model, sky_of
 from st_emulator.campaigns.bench import STARS_ONLY, random_pointings, start_tai_ns, with_section
+from st_emulator.compiled_kernels import keep_compiled_kernels
 from st_emulator.device.calibration import firmware_configuration
 from st_emulator.device.parameters import default_parameters
 from st_emulator.firmware_model.configuration import FirmwareConfiguration, StarTables
-from st_emulator.firmware_model.firmware import FirmwareState, FrameContext, process_frame
+from st_emulator.firmware_model.firmware import FirmwareState, process_frame
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.identification.algorithms import ALGORITHMS
 from st_emulator.firmware_model.modes import Mode
@@ -229,13 +231,8 @@ def records_of(sequence: SkySequence) -> Iterator[FrameRecords]:
     others: list[StepRecord] = []
     for number in range(sequence.tracked + 1):
         frame = renderer.frame(number, number * period_ns, configuration.exposure_ns)
-        context = FrameContext(
-            frame_index=number,
-            acquisition=Mode.TRACKING if number else Mode.LOST_IN_SPACE,
-            t_mid_ns=frame.exposure_mid_ns,
-            exposure_ns=frame.exposure_ns,
-            tai_ns=renderer.start_tai_ns + frame.exposure_mid_ns,
-        )
+        acquisition = Mode.TRACKING if number else Mode.LOST_IN_SPACE
+        context = synchronised_context(frame, number, acquisition, renderer.start_tai_ns)
         steps: list[StepRecord] = []
         result = process_frame(frame, context, state, configuration, tables, trace=steps.append)
         searched = result.work.operations("identification")
@@ -271,6 +268,7 @@ def _renderer(profile: UnitProfile, sequence: SkySequence) -> SceneRenderer:
     start = start_tai_ns()
     q = random_pointings(sequence.number + 1, sequence.seed)[sequence.number]
     rate = np.radians(sequence.rate_deg_s)
+    keep_compiled_kernels()
     return SceneRenderer(
         camera_model(profile),
         sky_of(start),

@@ -19,6 +19,9 @@ from tools.calibration.steps.step import MismatchError
 __all__ = ["Case", "OwnSequence", "Simulated", "fingerprint", "simulate"]
 
 
+_BINDING_MODULES = ("frames", "registry", "samples", "simulation", "struct_layout")
+
+
 @dataclass(frozen=True)
 class OwnSequence:
     """Records that a family of kernels makes itself, as no frame has them."""
@@ -102,7 +105,7 @@ def fingerprint() -> str:
         here.parent / "arm_timing",
     )
     files = {path.resolve() for room in rooms for kind in ("*.py", "*.toml") for path in room.rglob(kind)}
-    files |= {here / f"{name}.py" for name in ("frames", "registry", "samples", "simulation")}
+    files |= {here / f"{name}.py" for name in _BINDING_MODULES}
     files |= set((here / "steps").glob("*.py"))
     digest = hashlib.sha256()
     for contents in sorted(hashlib.sha256(path.read_bytes()).digest() for path in files):

@@ -327,7 +327,7 @@ def mutate(count: int, seed: int) -> int:
         if number % 20 == 0:
             looked += 1
             obc.put(b"\n", 100)
-            assert obc.put(GOOD) == [SAYS]
+            assert obc.put(GOOD).count(SAYS) == 1  # and perhaps the end of a TIM
             if octets > count:
                 return looked
     raise AssertionError

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
+from ...clock import NS_PER_MS
 from ...protocol.can.frames import RecordDecoder, encode_record
 from ...protocol.can.transfer import FLOW_CONTROL, frame_kind
 from ...protocol.can.transport import IsoTpConnection
 from ...protocol.framing import END, FrameReceived, SlipDecoder, slip_encode
 from ...wire.can.port import CanPortSettings
 
+# ASSUMED: a unit that listens answers a first frame at once; one in BOOT must not hold up the next
+# telecommand.
+PATIENCE_NS = 100 * NS_PER_MS
 SCENARIO_SOURCE_ID = 0x5C  # the source of a scenario's own telecommands, apart from any OBC's
 
 
@@ -46,7 +51,8 @@ class CanSender:
     def __init__(self, settings: CanPortSettings) -> None:
         self._records = RecordDecoder()
         self._packets: deque[bytes] = deque()
-        self._connection = IsoTpConnection(settings.transport_of_the_other_end())
+        other_end = settings.transport_of_the_other_end()
+        self._connection = IsoTpConnection(replace(other_end, n_bs_ns=PATIENCE_NS))
 
     def send(self, message: bytes, now_ns: int) -> None:
         self._packets.append(message)

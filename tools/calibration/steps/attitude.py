@@ -21,6 +21,7 @@ from st_emulator.firmware_model.geometry import CameraGeometry
 from st_emulator.firmware_model.work import Work
 from tools.arm_timing.machine import ArmMachine, Call
 from tools.calibration.steps.step import MismatchError, StageRun
+from tools.calibration.struct_layout import place_struct, read_struct, reserve_structs
 
 __all__ = [
     "CHANCE_BOUND",
@@ -46,19 +47,19 @@ RATE_BOUND = 1e-12  # relative
 _DOUBLE_BYTES = 8
 _WORD_BYTES = 4
 _SCRATCH_DOUBLES = 9  # ST_ATTITUDE_SCRATCH_DOUBLES
-_ATTITUDE_RESULT = struct.Struct("<4d9ddii")  # st_attitude_result
+_OPTICS = ("focal_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "r2_limit")  # CameraGeometry's parameters
 
 
 def place_camera(machine: ArmMachine, geometry: CameraGeometry) -> int:
     """An st_camera."""
-    packed = struct.pack(
-        "<20dii",
-        *geometry.kernel_parameters,
-        *geometry.plane_normals.ravel(),
-        geometry.width_px,
-        geometry.height_px,
+    return place_struct(
+        machine,
+        "st_camera",
+        **dict(zip(_OPTICS, geometry.kernel_parameters, strict=True)),
+        normals=geometry.plane_normals.ravel(),
+        width_px=geometry.width_px,
+        height_px=geometry.height_px,
     )
-    return machine.place(np.frombuffer(packed, np.uint8))
 
 
 def place_vectors(machine: ArmMachine, vectors: Any) -> int:
@@ -151,7 +152,7 @@ class AttitudeStep:
         count = len(arguments["measured"])
         kept = machine.reserve(_WORD_BYTES * count)
         residuals = machine.reserve(_DOUBLE_BYTES * count)
-        result = machine.reserve(_ATTITUDE_RESULT.size)
+        result = reserve_structs(machine, "st_attitude_result")
         sigma, errors = self._sigma(machine, arguments)
         solving = machine.call(
             "st_robust_attitude",
@@ -166,11 +167,11 @@ class AttitudeStep:
             machine.reserve(_SCRATCH_DOUBLES * _DOUBLE_BYTES * count),
             result,
         )
-        packed = _ATTITUDE_RESULT.unpack(machine.read(result, np.uint8, _ATTITUDE_RESULT.size).tobytes())
+        solved = read_struct(machine, "st_attitude_result", result)
         indices = np.flatnonzero(machine.read(kept, np.int32, count))
         found = machine.read(residuals, np.float64, count)
         machine.release()
-        self._compare(packed, indices, found, *record.result)
+        self._compare(solved, indices, found, *record.result)
         rest = {name: number for name, number in record.work.counts.items() if name != "centroid_errors"}
         weighed = Work({"centroid_errors": record.work["centroid_errors"]})
         runs = [StageRun(self.name, "attitude", errors.cost, weighed)]
@@ -184,13 +185,19 @@ class AttitudeStep:
         flux_dn, focal_px = arguments["flux_dn"], float(arguments["focal_px"])
         noise_dn = float(arguments["noise_dn"])
         sigma = machine.reserve(_DOUBLE_BYTES * len(flux_dn))
-        model = (error.floor_px, error.photon_px, error.electrons_per_dn, error.window_factor)
         call = machine.call(
             "st_centroid_sigma_rad",
             place_vectors(machine, flux_dn),
             len(flux_dn),
             noise_dn,
-            place_vectors(machine, model),
+            place_struct(
+                machine,
+                "st_centroid_error",
+                floor_px=error.floor_px,
+                photon_px=error.photon_px,
+                electrons_per_dn=error.electrons_per_dn,
+                window_factor=error.window_factor,
+            ),
             focal_px,
             sigma,
         )
@@ -200,14 +207,14 @@ class AttitudeStep:
 
     def _compare(
         self,
-        packed: tuple[Any, ...],
+        found: np.void,
         indices: npt.NDArray[np.intp],
         residuals: FloatArray,
         solution: AttitudeSolution | None,
         kept: npt.NDArray[np.intp],
     ) -> None:
-        q, covariance = np.array(packed[:4]), np.array(packed[4:13]).reshape(3, 3)
-        chi_square, left, solved = packed[13:]
+        q, covariance = found["q"], found["covariance"].reshape(3, 3)
+        chi_square, left, solved = float(found["chi_square"]), int(found["left"]), found["solved"]
         _require_same(self.name, "stars kept", indices, kept)
         if bool(solved) != (solution is not None):
             raise MismatchError(f"{self.name}: solved is {solved}, {solution is not None} in Python")

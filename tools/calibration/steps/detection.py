@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -17,22 +16,31 @@ from st_emulator.firmware_model.image.spots import Rejections, Spots
 from st_emulator.firmware_model.work import COUNTS, Work
 from tools.arm_timing.machine import ArmMachine, Cost
 from tools.calibration.steps.step import MismatchError, StageRun
+from tools.calibration.struct_layout import (
+    layout_of,
+    place_struct,
+    read_struct,
+    read_structs,
+    reserve_structs,
+)
 
 __all__ = [
     "BACKGROUND_BOUND_DN",
     "BOUNDS",
-    "CLUSTER",
     "FLUX_BOUND",
     "FLUX_BOUND_DN",
     "LIMIT_BOUND_DN",
     "ONE_DN",
-    "SPOT",
     "STAGES",
     "STEPS",
     "DetectStep",
     "DetectionRun",
     "compare",
+    "packed_spots",
+    "place_image",
     "place_spot_limits",
+    "read_runs",
+    "read_statistics",
     "run_detection",
     "spots_of_structs",
     "threshold_levels",
@@ -52,18 +60,7 @@ _BYTES_OF_WORD = 4
 _SATURATED, _AT_EDGE = 1, 2  # st_spot.flags
 _REASONS = 5
 _MOST_DN = 0xFFFF
-
-SPOT = np.dtype(
-    [(name, "<f8") for name in ("x_px", "y_px", "flux_dn", "magnitude", "peak_dn")]
-    + [("pixels", "<i4"), ("flags", "<i4")]
-)  # st_spot
-_CLUSTER_WORDS = (
-    *("background", "pixels", "brightest_dn", "origin_x", "origin_y"),
-    *("first_x", "last_x", "first_y", "last_y", "reserved"),
-)
-CLUSTER = np.dtype(
-    [(name, "<i8") for name in ("sum", "sum_x", "sum_y")] + [(name, "<i4") for name in _CLUSTER_WORDS]
-)  # st_cluster
+_MEASURED = ("x_px", "y_px", "flux_dn", "magnitude", "peak_dn", "pixels")  # st_spot and Spots
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ class DetectionRun:
     """What the kernels made of a frame, and what each of ``STAGES`` cost.
 
     runs: int32[n, 3]; averages: int32[n], DN times ``ONE_DN``; row_start, label as in ``clustering.py``;
-    clusters: ``CLUSTER[m]``; outcome: int8[m].
+    clusters: st_cluster[m]; outcome: int8[m].
     """
 
     spots: Spots
@@ -84,26 +81,44 @@ class DetectionRun:
     costs: dict[str, Cost]
 
 
-def _place_packed(machine: ArmMachine, form: str, *values: float) -> int:
-    return machine.place(np.frombuffer(struct.pack("<" + form, *values), np.uint8))
-
-
 def place_spot_limits(machine: ArmMachine, limits: centroid.SpotLimits) -> int:
     """An st_spot_limits; its address."""
-    return _place_packed(
-        machine,
-        "4i3d4i7d",
-        limits.half_window,
-        limits.min_pixels,
-        limits.max_pixels,
-        limits.max_extent,
-        limits.max_peak_fraction,
-        limits.zero_point_dn,
-        limits.magnitude_limit,
-        limits.saturation_dn,
-        0,
-        *limits.interpolation,
+    terms = limits.interpolation
+    interpolation = {
+        "wanted": terms.wanted,
+        "half_height_px": terms.half_height_px,
+        "first": [terms.first_0, terms.first_1, terms.first_2],
+        "second": [terms.second_0, terms.second_1, terms.second_2],
+        "least_square_ratio": terms.least_square_ratio,
+    }
+    members = limits._asdict() | {"interpolation": interpolation, "reserved": 0}
+    return place_struct(machine, "st_spot_limits", **members)
+
+
+def place_image(machine: ArmMachine, pixels: int, shape: tuple[int, int]) -> int:
+    """An st_image of the pixels at an address; shape: (rows, columns)."""
+    return place_struct(machine, "st_image", pixels=pixels, rows=shape[0], columns=shape[1])
+
+
+def read_runs(machine: ArmMachine, address: int, count: int) -> npt.NDArray[np.int32]:
+    """int32[count, 3] of st_run: the columns of the Python stage's table of runs."""
+    runs = read_structs(machine, "st_run", address, count)
+    return np.stack([runs[name] for name in ("row", "first", "end")], axis=1)
+
+
+def packed_spots(machine: ArmMachine, spots: Spots) -> npt.NDArray[np.void]:
+    """Spots as st_spot[n]."""
+    return layout_of(machine, "st_spot").pack_array(
+        len(spots),
+        flags=_SATURATED * spots.saturated + _AT_EDGE * spots.at_edge,
+        **{name: getattr(spots, name) for name in _MEASURED},
     )
+
+
+def read_statistics(machine: ArmMachine, address: int) -> tuple[float, float]:
+    """(background_dn, noise_dn) of an st_statistics."""
+    found = read_struct(machine, "st_statistics", address)
+    return float(found["background_dn"]), float(found["noise_dn"])
 
 
 def spots_of_structs(
@@ -113,9 +128,9 @@ def spots_of_structs(
     noise_dn: float,
     overflowed: bool,
 ) -> Spots:
-    """Spots of ``SPOT[n]``."""
+    """Spots of st_spot[n]."""
     return Spots(
-        **{name: packed[name].copy() for name in SPOT.names or () if name != "flags"},
+        **{name: packed[name].copy() for name in _MEASURED},
         saturated=(packed["flags"] & _SATURATED) != 0,
         at_edge=(packed["flags"] & _AT_EDGE) != 0,
         background_dn=background_dn,
@@ -130,18 +145,25 @@ def run_detection(
 ) -> DetectionRun:
     """The kernels of ``detection.detect``, stage by stage. ``image``: uint16[rows, columns]."""
     rows, columns = image.shape
-    picture = _place_packed(machine, "Iii", machine.dma(image), rows, columns)
-    statistics = machine.reserve(16)
+    picture = place_image(machine, machine.dma(image), (rows, columns))
+    statistics = reserve_structs(machine, "st_statistics")
     cost = machine.call("st_frame_statistics", picture, statistics).cost
-    background, noise = (float(value) for value in machine.read(statistics, np.float64, 2))
+    background, noise = read_statistics(machine, statistics)
 
     over = max(parameters.sigma_factor * noise, parameters.tau_min_dn)
     # No pixel has more bits than the largest that there can be, or that there is.
     bits = max(min(parameters.saturation_dn, _MOST_DN), int(image.max())).bit_length()
-    threshold = _place_packed(
-        machine, "2d4i", background, over, parameters.average_pixels, parameters.max_runs, bits, 0
+    threshold = place_struct(
+        machine,
+        "st_threshold",
+        background_dn=background,
+        over_dn=over,
+        average_pixels=parameters.average_pixels,
+        capacity=parameters.max_runs,
+        bits=bits,
+        reserved=0,
     )
-    run_table = machine.reserve(RUN_FIELDS * _BYTES_OF_WORD * parameters.max_runs)
+    run_table = reserve_structs(machine, "st_run", parameters.max_runs)
     average_table = machine.reserve(_BYTES_OF_WORD * parameters.max_runs)
     starts = machine.reserve(_BYTES_OF_WORD * (rows + 1))
     room = machine.reserve(2 * _BYTES_OF_WORD * (-(-columns // BLOCK_PX)))
@@ -153,12 +175,12 @@ def run_detection(
     labels = machine.reserve(_BYTES_OF_WORD * count)
     call = machine.call("st_join_runs", run_table, count, starts, rows, labels)
     number = call.result
-    table = machine.reserve(CLUSTER.itemsize * number)
+    table = reserve_structs(machine, "st_cluster", number)
     sums = machine.call("st_sum_clusters", picture, run_table, count, average_table, labels, table, number)
     costs["clustering"] = call.cost + sums.cost
 
     limits = place_spot_limits(machine, parameters.spot_limits())
-    found = machine.reserve(SPOT.itemsize * number)
+    found = reserve_structs(machine, "st_spot", number)
     outcome, rejected = machine.reserve(number), machine.reserve(_BYTES_OF_WORD * _REASONS)
     work_room = machine.reserve(machine.call("st_centroid_room_bytes", limits).result)
     call = machine.call(
@@ -168,7 +190,7 @@ def run_detection(
         *(1, 1, limits, found, outcome, rejected, work_room),
     )
     measured = call.result
-    ordered = machine.reserve(SPOT.itemsize * measured)
+    ordered = reserve_structs(machine, "st_spot", measured)
     order = machine.reserve(2 * _BYTES_OF_WORD * measured)
     ordering = machine.call("st_order_spots", found, measured, parameters.max_spots, order, ordered)
     costs["centroid"] = call.cost + ordering.cost
@@ -176,17 +198,17 @@ def run_detection(
     reasons = machine.read(rejected, np.int32, _REASONS).tolist()
     return DetectionRun(
         spots_of_structs(
-            machine.read(ordered, SPOT, ordering.result),
+            read_structs(machine, "st_spot", ordered, ordering.result),
             replace(Rejections(*reasons), surplus=measured - ordering.result),
             background,
             noise,
             overflowed,
         ),
-        machine.read(run_table, np.int32, (count, RUN_FIELDS)),
+        read_runs(machine, run_table, count),
         machine.read(average_table, np.int32, count),
         machine.read(starts, np.int32, rows + 1),
         machine.read(labels, np.int32, count),
-        machine.read(table, CLUSTER, number),
+        read_structs(machine, "st_cluster", table, number),
         machine.read(outcome, np.int8, number),
         costs,
     )

@@ -8,7 +8,6 @@ Python algorithm is run once more without.
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -30,6 +29,7 @@ from st_emulator.firmware_model.identification.verification import separation_ke
 from st_emulator.firmware_model.reasons import Reason
 from tools.arm_timing.machine import ArmMachine, Cost
 from tools.calibration.steps.step import MismatchError, StageRun
+from tools.calibration.struct_layout import place_struct, read_struct, reserve_structs
 
 __all__ = [
     "KERNELS",
@@ -41,10 +41,10 @@ __all__ = [
     "KernelRun",
     "compare",
     "place_limits",
-    "place_packed",
     "place_pair_table",
     "place_spikes",
     "place_star_table",
+    "placed_cells",
     "read_identification",
     "unlimited",
 ]
@@ -54,7 +54,6 @@ MOST_PATTERN_SPIKES = 64  # pyramid.h
 QUATERNION_BOUND = 1e-9  # largest difference of an element; the trial attitudes are the same to rounding
 _CHANCE_BOUND = 1e-6  # relative, of false_solutions: an exponential of logarithms of the gamma function
 _NO_LIMIT = 1 << 62
-_IDENTIFICATION = struct.Struct("<5d4i")  # st_identification
 _WORD_BYTES = 4
 
 
@@ -81,61 +80,63 @@ def unlimited(parameters: IdentificationParameters) -> IdentificationParameters:
     )
 
 
-def place_packed(machine: ArmMachine, form: str, *values: float) -> int:
-    """A C struct in the machine's memory, little-endian and packed as ``form`` says; its address."""
-    return machine.place(np.frombuffer(struct.pack("<" + form, *values), np.uint8))
+def placed_cells(machine: ArmMachine, catalogue: StarCatalogue) -> dict[str, float]:
+    """The members of an st_sky_cells; the tables themselves are placed once and stay."""
+    cells = catalogue.cells
+    return {
+        "band_height_rad": cells.band_height_rad,
+        "bands": len(cells.band_first_cell) - 1,
+        "band_first_cell": machine.place(cells.band_first_cell, keep=True),
+        "cell_start": machine.place(cells.cell_start, keep=True),
+        "cell_star": machine.place(cells.cell_star, keep=True),
+        "unit_vectors": machine.place(catalogue.unit_vectors, keep=True),
+    }
 
 
 def place_star_table(machine: ArmMachine, catalogue: StarCatalogue) -> int:
     """An st_star_table with its room for rows; the tables themselves are placed once and stay."""
-    cells = catalogue.cells
-    return place_packed(
+    return place_struct(
         machine,
-        "diIIII4xIiI4x",
-        cells.band_height_rad,
-        len(cells.band_first_cell) - 1,
-        machine.place(cells.band_first_cell, keep=True),
-        machine.place(cells.cell_start, keep=True),
-        machine.place(cells.cell_star, keep=True),
-        machine.place(catalogue.unit_vectors, keep=True),
-        machine.place(catalogue.hp_mag, keep=True),
-        len(catalogue),
-        machine.reserve(_WORD_BYTES * len(catalogue)),
+        "st_star_table",
+        cells=placed_cells(machine, catalogue),
+        hp_mag=machine.place(catalogue.hp_mag, keep=True),
+        stars=len(catalogue),
+        near=machine.reserve(_WORD_BYTES * len(catalogue)),
     )
 
 
 def place_pair_table(machine: ArmMachine, pairs: PairCatalogue) -> int:
     """An st_pair_table; the tables themselves are placed once and stay."""
-    return place_packed(
+    return place_struct(
         machine,
-        "dddIIIIi4x",
-        pairs.kvector.slope,
-        pairs.kvector.offset,
-        1.0 / pairs.kvector.slope,
-        machine.place(pairs.cos_angle, keep=True),
-        machine.place(pairs.brighter, keep=True),
-        machine.place(pairs.dimmer, keep=True),
-        machine.place(pairs.kvector.count_below, keep=True),
-        len(pairs),
+        "st_pair_table",
+        slope=pairs.kvector.slope,
+        offset=pairs.kvector.offset,
+        steps_per_unit=1.0 / pairs.kvector.slope,
+        cos_angle=machine.place(pairs.cos_angle, keep=True),
+        brighter=machine.place(pairs.brighter, keep=True),
+        dimmer=machine.place(pairs.dimmer, keep=True),
+        count_below=machine.place(pairs.kvector.count_below, keep=True),
+        pairs=len(pairs),
     )
 
 
 def place_limits(machine: ArmMachine, parameters: IdentificationParameters, pairs: PairCatalogue) -> int:
     """An st_limits."""
     normals = parameters.normals
-    return place_packed(
+    return place_struct(
         machine,
-        "19dii",
-        parameters.tolerance_rad,
-        float(separation_kernel(pairs.cos_angle)),
-        parameters.least_seen_share,
-        parameters.magnitude_tolerance,
-        parameters.most_false_solutions,
-        parameters.most_false_triangles,
-        parameters.certain_false_solutions,
-        *(normals.ravel() if len(normals) else np.zeros(12)),
-        parameters.min_stars,
-        len(normals) == 4,
+        "st_limits",
+        tolerance_rad=parameters.tolerance_rad,
+        separation_rad=float(separation_kernel(pairs.cos_angle)),
+        least_seen_share=parameters.least_seen_share,
+        magnitude_tolerance=parameters.magnitude_tolerance,
+        most_false_solutions=parameters.most_false_solutions,
+        most_false_triangles=parameters.most_false_triangles,
+        certain_false_solutions=parameters.certain_false_solutions,
+        normals=normals.ravel() if len(normals) else np.zeros(12),
+        min_stars=parameters.min_stars,
+        field_given=len(normals) == 4,
     )
 
 
@@ -145,21 +146,26 @@ def place_spikes(machine: ArmMachine, spikes: Spikes) -> int:
         raise ValueError(f"{len(spikes)} spikes, but the kernels hold {MOST_SPIKES}")
     b = np.ascontiguousarray(spikes.b_vectors, np.float64)
     magnitudes = np.ascontiguousarray(spikes.magnitudes, np.float64)
-    return place_packed(machine, "IIi", machine.place(b), machine.place(magnitudes), len(spikes))
+    return place_struct(
+        machine,
+        "st_spikes",
+        b=machine.place(b),
+        magnitudes=machine.place(magnitudes),
+        count=len(spikes),
+    )
 
 
 def read_identification(machine: ArmMachine, found: int, star_index: int, spikes: int) -> Identification:
     """The st_identification at ``found`` with its int32[spikes] at ``star_index``."""
-    packed = machine.read(found, np.uint8, _IDENTIFICATION.size).tobytes()
-    *q, chance, reason, verified, expected, seen = _IDENTIFICATION.unpack(packed)
+    told = read_struct(machine, "st_identification", found)
     return Identification(
-        machine.read(star_index, np.int32, spikes),
-        verified,
-        Reason(reason),
-        np.array(q) if verified else None,
-        chance,
-        expected,
-        seen,
+        star_index=machine.read(star_index, np.int32, spikes),
+        verified=int(told["verified"]),
+        reason=Reason(int(told["reason"])),
+        q_icrs_to_sensor=told["q"].copy() if told["verified"] else None,
+        false_solutions=float(told["false_solutions"]),
+        expected=int(told["expected"]),
+        seen=int(told["seen"]),
     )
 
 
@@ -170,16 +176,16 @@ def pyramid_kernel(
     if parameters.max_spots > MOST_PATTERN_SPIKES:
         raise ValueError(f"max_spots {parameters.max_spots}, but the kernel holds {MOST_PATTERN_SPIKES}")
     entries = 2 * len(tables.pairs)
-    marks = place_packed(
+    marks = place_struct(
         machine,
-        "IIIii",
-        machine.reserve(_WORD_BYTES * len(tables.catalogue)),
-        machine.reserve(_WORD_BYTES * entries),
-        machine.reserve(_WORD_BYTES * entries),
-        entries,
-        1,
+        "st_pyramid_marks",
+        head=machine.reserve(_WORD_BYTES * len(tables.catalogue)),
+        partner=machine.reserve(_WORD_BYTES * entries),
+        chain=machine.reserve(_WORD_BYTES * entries),
+        entries=entries,
+        base=1,
     )
-    found = machine.reserve(_IDENTIFICATION.size)
+    found = reserve_structs(machine, "st_identification")
     star_index = machine.reserve(_WORD_BYTES * len(spikes))
     call = machine.call(
         "st_identify_pyramid",

@@ -18,14 +18,20 @@ from tools.calibration.steps.identification import (
     MOST_PATTERN_SPIKES,
     KernelRun,
     place_limits,
-    place_packed,
     place_pair_table,
     place_spikes,
     place_star_table,
     read_identification,
 )
+from tools.calibration.struct_layout import layout_of, place_struct, reserve_structs
 
-__all__ = ["brightness_referenced_kernel", "geometric_voting_kernel", "multi_poles_kernel"]
+__all__ = [
+    "brightness_referenced_kernel",
+    "geometric_voting_kernel",
+    "multi_poles_kernel",
+    "place_brightness_parameters",
+    "place_poles_parameters",
+]
 
 MOST_VOTING_SPIKES = 128  # geometric_voting.h
 MOST_IDENTITIES = 32  # geometric_voting.h
@@ -33,11 +39,28 @@ MOST_IDENTITIES = 32  # geometric_voting.h
 # entries each. The kernels say when they do not suffice.
 _ENTRIES_OF_A_SPIKE = 8192
 _MOST_ENTRIES = 1 << 21
-_IDENTIFICATION_BYTES = 56  # st_identification
-_BRIGHTNESS_ENTRY_BYTES, _BRIGHTNESS_MARK_BYTES = 12, 8
-_POLES_ENTRY_BYTES, _POLES_MARK_BYTES = 16, 12
-_VOTE_BYTES = 2
 _WORD_BYTES = 4
+
+
+def place_brightness_parameters(machine: ArmMachine, parameters: IdentificationParameters) -> int:
+    """An st_brightness_parameters."""
+    return place_struct(
+        machine,
+        "st_brightness_parameters",
+        distinct_mag=parameters.brightness.distinct_mag,
+        bright_limit_mag=parameters.brightness.bright_limit_mag,
+        max_spots=parameters.max_spots,
+    )
+
+
+def place_poles_parameters(machine: ArmMachine, parameters: IdentificationParameters) -> int:
+    """An st_poles_parameters."""
+    return place_struct(
+        machine,
+        "st_poles_parameters",
+        magnitude_tolerance=parameters.multi_poles.magnitude_tolerance,
+        least_recognised=parameters.multi_poles.least_recognised,
+    )
 
 
 def brightness_referenced_kernel(
@@ -48,13 +71,13 @@ def brightness_referenced_kernel(
         raise ValueError(f"max_spots {parameters.max_spots}, but the kernel holds {MOST_PATTERN_SPIKES}")
     brightness = parameters.brightness
     entries = min(_ENTRIES_OF_A_SPIKE * min(len(spikes), parameters.max_spots), _MOST_ENTRIES)
-    marks = place_packed(
+    marks = place_struct(
         machine,
-        "IIii",
-        machine.reserve(_BRIGHTNESS_MARK_BYTES * len(tables.catalogue)),
-        machine.reserve(_BRIGHTNESS_ENTRY_BYTES * entries),
-        entries,
-        0,
+        "st_brightness_marks",
+        mark=reserve_structs(machine, "st_brightness_mark", len(tables.catalogue)),
+        entry=reserve_structs(machine, "st_brightness_entry", entries),
+        entries=entries,
+        pivots=0,
     )
     return _call(
         machine,
@@ -64,9 +87,7 @@ def brightness_referenced_kernel(
         place_pair_table(machine, tables.pairs),
         place_pair_table(machine, tables.reference_pairs(float(brightness.bright_limit_mag))),
         place_limits(machine, parameters, tables.pairs),
-        place_packed(
-            machine, "ddi4x", brightness.distinct_mag, brightness.bright_limit_mag, parameters.max_spots
-        ),
+        place_brightness_parameters(machine, parameters),
         marks,
     )
 
@@ -80,12 +101,13 @@ def geometric_voting_kernel(
     voters = min(len(spikes), MOST_VOTING_SPIKES)
     identities = voters * MOST_IDENTITIES
     words = identities * -(-identities // 32)
-    room = place_packed(
+    layout = layout_of(machine, "st_voting_room")
+    room = place_struct(
         machine,
-        "IIi",
-        machine.reserve(_VOTE_BYTES * voters * (len(tables.catalogue) + 1)),
-        machine.reserve(_WORD_BYTES * words),
-        words,
+        "st_voting_room",
+        votes=machine.reserve(layout.items_bytes("votes", voters * (len(tables.catalogue) + 1))),
+        fits=machine.reserve(layout.items_bytes("fits", words)),
+        words=words,
     )
     return _call(
         machine,
@@ -103,16 +125,15 @@ def multi_poles_kernel(
     machine: ArmMachine, spikes: Spikes, tables: StarTables, parameters: IdentificationParameters
 ) -> KernelRun:
     """``multi_poles.identify`` without limits of work."""
-    poles = parameters.multi_poles
     entries = min(_ENTRIES_OF_A_SPIKE * len(spikes), _MOST_ENTRIES)
-    marks = place_packed(
+    marks = place_struct(
         machine,
-        "IIiiI",
-        machine.reserve(_POLES_MARK_BYTES * len(tables.catalogue)),
-        machine.reserve(_POLES_ENTRY_BYTES * entries),
-        entries,
-        1,
-        machine.reserve(_WORD_BYTES * len(spikes) ** 2),
+        "st_poles_marks",
+        mark=reserve_structs(machine, "st_poles_mark", len(tables.catalogue)),
+        entry=reserve_structs(machine, "st_poles_entry", entries),
+        entries=entries,
+        base=1,
+        sets=machine.reserve(_WORD_BYTES * len(spikes) ** 2),
     )
     return _call(
         machine,
@@ -121,14 +142,14 @@ def multi_poles_kernel(
         place_star_table(machine, tables.catalogue),
         place_pair_table(machine, tables.pairs),
         place_limits(machine, parameters, tables.pairs),
-        place_packed(machine, "di4x", poles.magnitude_tolerance, poles.least_recognised),
+        place_poles_parameters(machine, parameters),
         marks,
     )
 
 
 def _call(machine: ArmMachine, symbol: str, spikes: Spikes, *arguments: int) -> KernelRun:
     """One identification; the kernel's last two arguments are the places of what it finds."""
-    found = machine.reserve(_IDENTIFICATION_BYTES)
+    found = reserve_structs(machine, "st_identification")
     star_index = machine.reserve(_WORD_BYTES * len(spikes))
     call = machine.call(symbol, place_spikes(machine, spikes), *arguments, found, star_index)
     if not call.result:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from dataclasses import fields as fields_of
 from typing import Any
 
 import numpy as np
 
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.protocol import CucTime, RequestId
-from st_emulator.protocol.pus.packets import MAX_TELECOMMAND_BYTES, MAX_TELEMETRY_BYTES
+from st_emulator.protocol.pus.packets import MAX_TELEMETRY_BYTES
 from st_emulator.protocol.pus.registry import REGISTRY
 from tools.arm_timing.machine import ArmMachine, Cost
 from tools.calibration.steps.link_rounds import (
@@ -24,41 +24,11 @@ from tools.calibration.steps.link_rounds import (
     own_records,
 )
 from tools.calibration.steps.step import MismatchError, StageRun
+from tools.calibration.struct_layout import layout_of, place_struct, read_structs, reserve_structs
 
 __all__ = ["STEPS", "TelemetryStep", "own_records"]
 
 MOST_TELECOMMANDS = 16  # of a round
-
-_HEADER = struct.Struct("<9I")  # st_telemetry_header
-_REPORT = struct.Struct("<17d17I4x")  # st_attitude_report
-_IMAGE = struct.Struct("<IiI")  # st_stored_image
-_DECODER_BYTES = MAX_TELECOMMAND_BYTES + 16  # st_slip_decoder
-_TELECOMMAND = struct.Struct("<2i5I")  # st_telecommand
-_DOUBLES = (
-    *(f"q_{name}" for name in "xyzw"),
-    *(f"covariance_{name}" for name in ("xx", "xy", "xz", "yy", "yz", "zz")),
-    *(f"rate_{name}" for name in "xyz"),
-    "residual_rms_arcsec",
-    "background_dn",
-    "noise_dn",
-    "false_match_probability",
-)
-_WORDS = (
-    "time_status",
-    "mode",
-    "valid",
-    "reasons",
-    "rate_valid",
-    "spots_detected",
-    "stars_identified",
-    "windows",
-    "window_half_width_px",
-    "exposure_us",
-    "cycles",
-    "latency_us",
-    "late",
-    "frames_dropped_before",
-)
 
 
 @dataclass
@@ -80,34 +50,33 @@ class _Run:
         return self.machine.read(address, np.uint8, count).tobytes()
 
     def receive(self, line: bytes, apid: int) -> tuple[ReceivedTelecommand, ...]:
-        found = self.machine.reserve(MOST_TELECOMMANDS * _TELECOMMAND.size)
-        decoder = self.machine.reserve(_DECODER_BYTES)
+        found = reserve_structs(self.machine, "st_telecommand", MOST_TELECOMMANDS)
+        decoder = reserve_structs(self.machine, "st_slip_decoder")
         number = self.call(
             "st_telecommands", decoder, self.placed(line), len(line), apid, found, MOST_TELECOMMANDS
         )
-        packed = self.read(found, number * _TELECOMMAND.size)
-        return tuple(
-            ReceivedTelecommand(*values) if values[0] == 0 else ReceivedTelecommand(*values[:2])
-            for values in _TELECOMMAND.iter_unpack(packed)
-        )
+        received = read_structs(self.machine, "st_telecommand", found, number)
+        return tuple(_received(telecommand) for telecommand in received)
 
     def send(self, packet: Packet) -> bytes:
         """The packet's bytes on the line."""
         definition = REGISTRY.by_name(packet.name)
         header = packet.header
-        packed = _HEADER.pack(
-            header["apid"],
-            header["sequence_count"],
-            definition.service,
-            definition.subservice,
-            header["message_count"],
-            header["destination_id"],
-            header["time_status"],
-            header["time"].coarse,
-            header["time"].fine,
-        )
         out = self.machine.reserve(MAX_TELEMETRY_BYTES)
-        length = self._build(packet, self.placed(packed), out)
+        placed = place_struct(
+            self.machine,
+            "st_telemetry_header",
+            apid=header["apid"],
+            sequence_count=header["sequence_count"],
+            service=definition.service,
+            subservice=definition.subservice,
+            message_count=header["message_count"],
+            destination_id=header["destination_id"],
+            time_status=header["time_status"],
+            time_coarse=header["time"].coarse,
+            time_fine=header["time"].fine,
+        )
+        length = self._build(packet, placed, out)
         line = self.machine.reserve(2 * length + 2)
         count = self.call("st_slip_encode", out, length, line)
         return self.read(line, count)
@@ -115,32 +84,47 @@ class _Run:
     def _build(self, packet: Packet, header: int, out: int) -> int:
         fields = packet.fields
         if packet.name == "attitude_report":
-            return self.call("st_attitude_packet", header, self.placed(_packed_report(fields)), out)
+            return self.call("st_attitude_packet", header, self._report(fields), out)
         if packet.name in VERIFICATIONS:
             request = RequestId.from_fields(fields["request_id"]).as_bytes()
             return self.call("st_verification_packet", header, self.placed(request), out)
         if packet.image is None:
             raise ValueError(f"there is no kernel for {packet.name}")
-        stored = _IMAGE.pack(
-            self.placed(packet.image.header), len(packet.image.header), self.pixels(packet.image)
+        stored = place_struct(
+            self.machine,
+            "st_stored_image",
+            header=self.placed(packet.image.header),
+            header_bytes=len(packet.image.header),
+            pixels=self.pixels(packet.image),
         )
-        part = (fields["transaction_id"], fields["part_number"], self.placed(stored))
+        part = (fields["transaction_id"], fields["part_number"], stored)
         return self.call("st_image_packet", header, *part, packet.offset, packet.copied_bytes, out)
+
+    def _report(self, fields: Mapping[str, Any]) -> int:
+        """An st_attitude_report. Members that are called as a field of the packet have that field's value."""
+        time: CucTime = fields["mid_exposure_time"]
+        members = layout_of(self.machine, "st_attitude_report").members
+        return place_struct(
+            self.machine,
+            "st_attitude_report",
+            q=[fields[f"q_{axis}"] for axis in "xyzw"],
+            covariance_rad2=[fields[f"covariance_{axes}"] for axes in ("xx", "xy", "xz", "yy", "yz", "zz")],
+            rate_rad_s=[fields[f"rate_{axis}"] for axis in "xyz"],
+            mid_exposure_coarse=time.coarse,
+            mid_exposure_fine=time.fine,
+            **{name: fields[name] for name in members if name in fields},
+        )
 
     def pixels(self, image: StoredImage) -> int:
         """Where the pixels are; a part's read may end within the last one."""
         return self.machine.place(image.pixels)
 
 
-def _packed_report(fields: Mapping[str, Any]) -> bytes:
-    time: CucTime = fields["mid_exposure_time"]
-    return _REPORT.pack(
-        *(fields[name] for name in _DOUBLES),
-        fields["frame_index"],
-        time.coarse,
-        time.fine,
-        *(fields[name] for name in _WORDS),
-    )
+def _received(telecommand: np.void) -> ReceivedTelecommand:
+    """Of a malformed one only why and how long it was."""
+    told = fields_of(ReceivedTelecommand)
+    names = [item.name for item in (told if telecommand["reason"] == 0 else told[:2])]
+    return ReceivedTelecommand(**{name: int(telecommand[name]) for name in names})
 
 
 class TelemetryStep:

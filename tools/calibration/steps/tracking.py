@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,8 +15,11 @@ from st_emulator.firmware_model.image.spots import WindowSpots
 from st_emulator.firmware_model.tracking import TrackingParameters, TrackingPlan, Verification
 from tools.arm_timing.machine import ArmMachine, Call
 from tools.calibration.steps.attitude import place_camera
+from tools.calibration.steps.detection import packed_spots
+from tools.calibration.steps.identification import placed_cells
 from tools.calibration.steps.step import MismatchError, StageRun
-from tools.calibration.steps.windows import packed_spots
+from tools.calibration.steps.windows import place_rects, read_rects
+from tools.calibration.struct_layout import layout_of, place_struct, read_struct
 
 __all__ = [
     "PLACE_BOUND_PX",
@@ -36,31 +38,17 @@ __all__ = [
 PLACE_BOUND_PX = 1e-9  # of a predicted star: the matrix product is summed in another order
 REFERENCE_BOUND = 1e-15  # of an element of an apparent direction: the same operations
 
-_PLAN = struct.Struct("<6I3i")  # st_tracking_plan
 _WORD_BYTES = 4
-_DOUBLE_BYTES = 8
-_RECT_BYTES = 16
-
-
-def place_packed(machine: ArmMachine, form: str, *values: float) -> int:
-    """A C struct in the machine's memory, little-endian and packed as ``form`` says; its address."""
-    return machine.place(np.frombuffer(struct.pack("<" + form, *values), np.uint8))
 
 
 def place_catalogue(machine: ArmMachine, catalogue: StarCatalogue) -> int:
     """An st_catalogue; the tables themselves are placed once and stay."""
-    cells = catalogue.cells
-    return place_packed(
+    return place_struct(
         machine,
-        "diIIII4xIi",
-        cells.band_height_rad,
-        len(cells.band_first_cell) - 1,
-        machine.place(cells.band_first_cell, keep=True),
-        machine.place(cells.cell_start, keep=True),
-        machine.place(cells.cell_star, keep=True),
-        machine.place(catalogue.unit_vectors, keep=True),
-        machine.place(catalogue.hp_mag, keep=True),
-        len(catalogue),
+        "st_catalogue",
+        cells=placed_cells(machine, catalogue),
+        hp_mag=machine.place(catalogue.hp_mag, keep=True),
+        stars=len(catalogue),
     )
 
 
@@ -68,19 +56,26 @@ def place_parameters(
     machine: ArmMachine, parameters: TrackingParameters, geometry: CameraGeometry | None = None
 ) -> int:
     """An st_tracking_parameters; verification needs no geometry."""
-    return place_packed(
+    return place_struct(
         machine,
-        "7d2i",
-        parameters.rate_rad_s,
-        math.cos(0.5 * parameters.tolerance_rad),
-        math.sin(0.5 * parameters.tolerance_rad),
-        parameters.star_radius_px,
-        parameters.magnitude_tolerance,
-        geometry.pixels_per_degree if geometry else 0.0,
-        geometry.half_diagonal_rad if geometry else 0.0,
-        parameters.min_stars,
-        parameters.max_windows,
+        "st_tracking_parameters",
+        rate_rad_s=parameters.rate_rad_s,
+        cos_half_tolerance=math.cos(0.5 * parameters.tolerance_rad),
+        sin_half_tolerance=math.sin(0.5 * parameters.tolerance_rad),
+        star_radius_px=parameters.star_radius_px,
+        magnitude_tolerance=parameters.magnitude_tolerance,
+        pixels_per_degree=geometry.pixels_per_degree if geometry else 0.0,
+        half_diagonal_rad=geometry.half_diagonal_rad if geometry else 0.0,
+        min_stars=parameters.min_stars,
+        max_windows=parameters.max_windows,
     )
+
+
+def _place_room(machine: ArmMachine, struct: str, counts: dict[str, int], **members: int) -> int:
+    """A struct of pointers to room for so many; members: what is no pointer."""
+    layout = layout_of(machine, struct)
+    room = {name: machine.reserve(layout.items_bytes(name, count)) for name, count in counts.items()}
+    return place_struct(machine, struct, **room, **members)
 
 
 def run_plan(
@@ -96,29 +91,29 @@ def run_plan(
 ) -> tuple[TrackingPlan, Call]:
     """``st_plan_windows`` for the arguments of ``tracking.plan_windows``."""
     stars, most = len(catalogue), parameters.max_windows
-    room = place_packed(
+    room = _place_room(
         machine,
-        "8Ii",
-        machine.reserve(_WORD_BYTES * stars),
-        machine.reserve(3 * _DOUBLE_BYTES * stars),
-        machine.reserve(3 * _DOUBLE_BYTES * stars),
-        machine.reserve(_DOUBLE_BYTES * stars),
-        machine.reserve(_DOUBLE_BYTES * stars),
-        machine.reserve(_WORD_BYTES * stars),
-        machine.reserve(_WORD_BYTES * (most + 1)),
-        machine.reserve(_WORD_BYTES * (most + 1)),
-        stars,
+        "st_plan_room",
+        {
+            "neighbour": stars,
+            "reference": 3 * stars,
+            "sensor": 3 * stars,
+            "x_px": stars,
+            "y_px": stars,
+            "flag": stars,
+            "place": most + 1,
+            "key": most + 1,
+        },
+        capacity=stars,
     )
-    sizes = (
-        _WORD_BYTES,
-        3 * _DOUBLE_BYTES,
-        _DOUBLE_BYTES,
-        _DOUBLE_BYTES,
-        _WORD_BYTES,
-        _RECT_BYTES,
+    plan = _place_room(
+        machine,
+        "st_tracking_plan",
+        {"star": most, "reference": 3 * most, "x_px": most, "y_px": most, "window": most, "rects": most},
+        stars=0,
+        windows=0,
+        half_width_px=0,
     )
-    star, reference, x, y, window, rects = (machine.reserve(size * most) for size in sizes)
-    plan = place_packed(machine, "6I3i", star, reference, x, y, window, rects, 0, 0, 0)
     call = machine.call(
         "st_plan_windows",
         machine.place(q_icrs_to_sensor),
@@ -132,15 +127,16 @@ def run_plan(
         plan,
         room,
     )
-    *_, count, windows, half = _PLAN.unpack(machine.read(plan, np.uint8, _PLAN.size).tobytes())
+    planned = read_struct(machine, "st_tracking_plan", plan)
+    count = int(planned["stars"])
     return TrackingPlan(
-        machine.read(star, np.int32, count),
-        machine.read(reference, np.float64, (count, 3)),
-        machine.read(x, np.float64, count),
-        machine.read(y, np.float64, count),
-        machine.read(window, np.int32, count),
-        machine.read(rects, np.int32, (windows, 4)),
-        half,
+        star=machine.read(int(planned["star"]), np.int32, count),
+        reference=machine.read(int(planned["reference"]), np.float64, (count, 3)),
+        x_px=machine.read(int(planned["x_px"]), np.float64, count),
+        y_px=machine.read(int(planned["y_px"]), np.float64, count),
+        window=machine.read(int(planned["window"]), np.int32, count),
+        rects=read_rects(machine, int(planned["rects"]), int(planned["windows"])),
+        half_width_px=int(planned["half_width_px"]),
     ), call
 
 
@@ -166,30 +162,32 @@ def run_verification(
 ) -> tuple[Verification, Call]:
     """``st_verify_by_pivot`` for the arguments of ``tracking.verify_by_pivot``."""
     stars, windows, spots = len(plan.star), len(plan.rects), len(found)
-    planned = place_packed(
+    planned = place_struct(
         machine,
-        "6I3i",
-        machine.place(plan.star),
-        machine.place(plan.reference),
-        machine.place(plan.x_px),
-        machine.place(plan.y_px),
-        machine.place(plan.window),
-        machine.place(plan.rects),
-        stars,
-        windows,
-        plan.half_width_px,
+        "st_tracking_plan",
+        star=machine.place(plan.star),
+        reference=machine.place(plan.reference),
+        x_px=machine.place(plan.x_px),
+        y_px=machine.place(plan.y_px),
+        window=machine.place(plan.window),
+        rects=place_rects(machine, plan.rects),
+        stars=stars,
+        windows=windows,
+        half_width_px=plan.half_width_px,
     )
-    room = place_packed(
+    room = _place_room(
         machine,
-        "8I",
-        machine.reserve(_WORD_BYTES * stars),
-        machine.reserve(_DOUBLE_BYTES * stars),
-        machine.reserve(_DOUBLE_BYTES * stars),
-        machine.reserve(_DOUBLE_BYTES * stars),
-        machine.reserve(_DOUBLE_BYTES * spots),
-        machine.reserve(_WORD_BYTES * spots),
-        machine.reserve(_WORD_BYTES * (windows + 1)),
-        machine.reserve(_WORD_BYTES * windows),
+        "st_verify_room",
+        {
+            "trial": stars,
+            "distance": stars,
+            "low": stars,
+            "high": stars,
+            "chord": spots,
+            "owner": spots,
+            "spot_from": windows + 1,
+            "in_window": windows,
+        },
     )
     chosen = machine.reserve(_WORD_BYTES * stars)
     verified, possible = machine.reserve(_WORD_BYTES), machine.reserve(_WORD_BYTES)
@@ -199,7 +197,7 @@ def run_verification(
         place_catalogue(machine, catalogue),
         place_parameters(machine, parameters),
         machine.place(b_vectors),
-        machine.place(packed_spots(found.spots)),
+        machine.place(packed_spots(machine, found.spots)),
         machine.place(found.window),
         spots,
         chosen,

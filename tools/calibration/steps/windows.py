@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,18 +10,25 @@ import numpy.typing as npt
 
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.image.detection import DetectionParameters
-from st_emulator.firmware_model.image.spots import Rejections, Spots, WindowSpots
+from st_emulator.firmware_model.image.spots import Rejections, WindowSpots
 from st_emulator.firmware_model.work import COUNTS, Work
 from tools.arm_timing.machine import ArmMachine, Cost
 from tools.calibration.steps.detection import (
     BOUNDS,
     FLUX_BOUND,
-    SPOT,
     STAGES,
     place_spot_limits,
+    read_statistics,
     spots_of_structs,
 )
 from tools.calibration.steps.step import MismatchError, StageRun
+from tools.calibration.struct_layout import (
+    layout_of,
+    place_struct,
+    read_struct,
+    read_structs,
+    reserve_structs,
+)
 
 __all__ = [
     "NOISE_BOUND",
@@ -30,21 +36,18 @@ __all__ = [
     "WindowsRun",
     "WindowsStep",
     "compare",
-    "packed_spots",
     "padded",
+    "place_rects",
     "place_window_parameters",
     "place_window_room",
+    "read_rects",
     "run_windows",
 ]
 
 NOISE_BOUND = 1e-9  # of the noise
 
-_STATISTICS = np.dtype([("background_dn", "<f8"), ("noise_dn", "<f8")])  # st_statistics
-_IMAGE = struct.Struct("<I2i")  # st_image
-_ROOM = struct.Struct("<10I8i")  # st_window_room
-_RUN_BYTES, _CLUSTER_BYTES, _RECT_BYTES, _WORD_BYTES, _DOUBLE_BYTES = 12, 64, 16, 4, 8
-_SATURATED, _AT_EDGE = 1, 2  # st_spot.flags
-_REASONS = 5
+_WORD_BYTES, _DOUBLE_BYTES = 4, 8
+_EDGES = ("x0", "y0", "x1", "y1")  # of st_rect, and the columns of the Python stage's windows
 
 
 @dataclass(frozen=True)
@@ -55,47 +58,62 @@ class WindowsRun:
     costs: dict[str, Cost]
 
 
-def _place_packed(machine: ArmMachine, form: str, *values: float) -> int:
-    return machine.place(np.frombuffer(struct.pack("<" + form, *values), np.uint8))
-
-
 def place_window_parameters(
     machine: ArmMachine, parameters: DetectionParameters, width_px: int, height_px: int
 ) -> tuple[int, int]:
     """An st_window_parameters, and the room in bytes that st_measure_spots then needs."""
     limits = place_spot_limits(machine, parameters.spot_limits(in_windows=True))
     room_bytes = machine.call("st_centroid_room_bytes", limits).result
-    place = _place_packed(
+    place = place_struct(
         machine,
-        "2d4iI4x",
-        parameters.window_sigma_factor,
-        parameters.tau_min_dn,
-        parameters.max_runs,
-        width_px,
-        height_px,
-        0,
-        limits,
+        "st_window_parameters",
+        sigma_factor=parameters.window_sigma_factor,
+        tau_min_dn=parameters.tau_min_dn,
+        max_runs=parameters.max_runs,
+        image_width=width_px,
+        image_height=height_px,
+        reserved=0,
+        limits=limits,
     )
     return place, room_bytes
 
 
 def place_window_room(machine: ArmMachine, max_runs: int, tallest: int, centroid_bytes: int) -> int:
     """An st_window_room with its arrays."""
-    return _place_packed(
+    layout = layout_of(machine, "st_window_room")
+    counts = {
+        "runs": max_runs,
+        "run_background": max_runs,
+        "label": max_runs,
+        "row_start": tallest + 1,
+        "clusters": max_runs,
+        "spots": max_runs,
+        "ordered": max_runs,
+        "outcome": max_runs,
+        "order": 2 * max_runs,
+    }
+    return place_struct(
         machine,
-        "10I8i",
-        machine.reserve(_RUN_BYTES * max_runs),
-        machine.reserve(_WORD_BYTES * max_runs),
-        machine.reserve(_WORD_BYTES * max_runs),
-        machine.reserve(_WORD_BYTES * (tallest + 1)),
-        machine.reserve(_CLUSTER_BYTES * max_runs),
-        machine.reserve(SPOT.itemsize * max_runs),
-        machine.reserve(SPOT.itemsize * max_runs),
-        machine.reserve(max_runs),
-        machine.reserve(2 * _WORD_BYTES * max_runs),
-        machine.reserve(centroid_bytes),
-        *(0,) * 8,
+        "st_window_room",
+        **{name: machine.reserve(layout.items_bytes(name, count)) for name, count in counts.items()},
+        centroid_room=machine.reserve(centroid_bytes),
+        run_count=0,
+        cluster_count=0,
+        spot_count=0,
+        rejected=np.zeros(layout.dtype["rejected"].shape, np.int32),
     )
+
+
+def place_rects(machine: ArmMachine, rects: npt.NDArray[np.int32]) -> int:
+    """st_rect[n] of windows int32[n, 4]: x0, y0, x1, y1."""
+    columns = dict(zip(_EDGES, rects.T, strict=True))
+    return machine.place(layout_of(machine, "st_rect").pack_array(len(rects), **columns))
+
+
+def read_rects(machine: ArmMachine, address: int, count: int) -> npt.NDArray[np.int32]:
+    """The windows int32[n, 4] of st_rect[n]."""
+    rects = read_structs(machine, "st_rect", address, count)
+    return np.stack([rects[name] for name in _EDGES], axis=1)
 
 
 def padded(
@@ -108,15 +126,6 @@ def padded(
     for start, first, end in zip(starts[:-1], offsets[:-1], offsets[1:], strict=True):
         apart[start : start + end - first] = flat[first:end]
     return apart, starts[:-1]
-
-
-def packed_spots(spots: Spots) -> npt.NDArray[np.void]:
-    """Spots as st_spot[n]."""
-    packed = np.zeros(len(spots), SPOT)
-    for name in ("x_px", "y_px", "flux_dn", "magnitude", "peak_dn", "pixels"):
-        packed[name] = getattr(spots, name)
-    packed["flags"] = _SATURATED * spots.saturated + _AT_EDGE * spots.at_edge
-    return packed
 
 
 def run_windows(
@@ -137,22 +146,23 @@ def run_windows(
     room = place_window_room(
         machine, parameters.max_runs, int(np.max(rects[:, 3] - rects[:, 1], initial=0)), room_bytes
     )
-    rect = machine.place(np.ascontiguousarray(rects, np.int32))
-    statistics = machine.reserve(_STATISTICS.itemsize * windows)
-    spots = machine.reserve(SPOT.itemsize * int(keep.sum()))
+    rect = place_rects(machine, rects)
+    statistics = reserve_structs(machine, "st_statistics", windows)
+    spots = reserve_structs(machine, "st_spot", int(keep.sum()))
     kept = machine.reserve(_WORD_BYTES)
-    image = machine.reserve(_IMAGE.size)
+    image, layout = reserve_structs(machine, "st_image"), layout_of(machine, "st_image")
+    nbytes = {name: layout_of(machine, name).nbytes for name in ("st_statistics", "st_spot", "st_rect")}
     costs: dict[str, list[Cost]] = {stage: [] for stage in STAGES}
     status = np.zeros(windows, np.uint8)
     window_of: list[int] = []
     overflowed = False
 
     for number, (x0, y0, x1, y1) in enumerate(rects.tolist()):
-        shape = _IMAGE.pack(first_pixel + 2 * int(starts[number]), y1 - y0, x1 - x0)
-        machine.write(image, np.frombuffer(shape, np.uint8))
-        level = statistics + number * _STATISTICS.itemsize
+        pixel = first_pixel + 2 * int(starts[number])
+        machine.write(image, layout.pack(pixels=pixel, rows=y1 - y0, columns=x1 - x0))
+        level = statistics + number * nbytes["st_statistics"]
         costs["threshold"].append(machine.call("st_window_runs", image, limits, room, level).cost)
-        runs = _room(machine, room)[0]
+        runs = read_struct(machine, "st_window_room", room)["run_count"]
         if not runs:
             continue
         overflowed |= runs == parameters.max_runs
@@ -160,34 +170,34 @@ def run_windows(
         call = machine.call(
             "st_window_spots",
             image,
-            rect + number * _RECT_BYTES,
+            rect + number * nbytes["st_rect"],
             limits,
             level,
             int(keep[number]),
             float("nan"),
             room,
-            spots + len(window_of) * SPOT.itemsize,
+            spots + len(window_of) * nbytes["st_spot"],
             kept,
         )
         costs["centroid"].append(call.cost)
         status[number] = call.result
         window_of += [number] * int(machine.read(kept, np.int32, 1)[0])
-    medians = machine.reserve(_STATISTICS.itemsize)
+    medians = reserve_structs(machine, "st_statistics")
     call = machine.call(
         "st_median_statistics", statistics, windows, machine.reserve(_DOUBLE_BYTES * windows), medians
     )
     costs["threshold"].append(call.cost)
 
-    level_dn, noise_dn = machine.read(medians, np.float64, 2)
-    levels = machine.read(statistics, _STATISTICS, windows)
-    small, large, sharp, edge, faint = _room(machine, room)[3:]
+    level_dn, noise_dn = read_statistics(machine, medians)
+    levels = read_structs(machine, "st_statistics", statistics, windows)
+    rejected = read_struct(machine, "st_window_room", room)["rejected"]
     return WindowsRun(
         WindowSpots(
             spots_of_structs(
-                machine.read(spots, SPOT, len(window_of)),
-                Rejections(small, large, sharp, edge, faint),
-                float(level_dn),
-                float(noise_dn),
+                read_structs(machine, "st_spot", spots, len(window_of)),
+                Rejections(*rejected.tolist()),
+                level_dn,
+                noise_dn,
                 bool(overflowed),
             ),
             np.array(window_of, np.int32),
@@ -197,11 +207,6 @@ def run_windows(
         ),
         {stage: _sum(parts) for stage, parts in costs.items() if parts},
     )
-
-
-def _room(machine: ArmMachine, room: int) -> tuple[int, ...]:
-    """(runs, clusters, spots, rejected[5]) of the window that was looked at last."""
-    return _ROOM.unpack(machine.read(room, np.uint8, _ROOM.size).tobytes())[-3 - _REASONS :]
 
 
 def _sum(costs: Sequence[Cost]) -> Cost:
