@@ -7,9 +7,11 @@ from st_emulator.units.profile import UnitProfile
 
 
 class Session:
-    """A :class:`~st_emulator.dialects.dialect.DemoSession` with a fresh unit; ``checks``: (name, holds)."""
+    """A :class:`~st_emulator.dialects.dialect.DemoSession` with a fresh unit; ``checks``: (name, holds).
+    ``deaf``: nothing reaches the unit."""
 
-    def __init__(self, profile: UnitProfile) -> None:
+    def __init__(self, profile: UnitProfile, *, deaf: bool = False) -> None:
+        self._deaf = deaf
         self.said: list[str] = []
         self.checks: list[tuple[str, bool]] = []
         self._sent: list[tuple[int, bytes]] = []
@@ -24,7 +26,8 @@ class Session:
         return self._emulator.now_ns
 
     def put(self, data: bytes) -> None:
-        self._emulator.receive(data)
+        if not self._deaf:
+            self._emulator.receive(data)
 
     def run(self, ms: float) -> list[tuple[int, bytes]]:
         self._emulator.advance(self.now_ns + round(ms * 1_000_000))

@@ -290,6 +290,10 @@ def test_the_exchange_of_the_demo():
     assert all(holds for _, holds in session.checks), session.checks
     assert {"started", "completed", "attitude error"} <= {name for name, _ in session.checks}
     assert any("arcsec from the truth" in line for line in session.said)
+    deaf = Session(UNIT, deaf=True)
+    exchange(deaf)
+    failed = [name for name, holds in deaf.checks if not holds]
+    assert failed == ["answered", "completed", "attitudes"]
 
 
 def mutate(count: int, seed: int) -> int:

@@ -304,6 +304,9 @@ def test_the_exchange_of_the_demo():
     dialect_of(UNIT).exchange(session)
     assert [name for name, _ in session.checks] == ["ready", "attitudes", "declination"]
     assert all(holds for _, holds in session.checks), session.said
+    deaf = Session(UNIT, deaf=True)
+    dialect_of(UNIT).exchange(deaf)
+    assert [holds for _, holds in deaf.checks] == [False, False]
 
 
 def mutate(count: int, seed: int) -> int:
