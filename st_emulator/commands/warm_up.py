@@ -22,8 +22,12 @@ _IN_A_CHILD = (
 
 
 def warm_up(profile: UnitProfile) -> None:
-    """Run seconds of a unit in virtual time: lost in space and tracking, so that no first frame is late."""
+    """Run seconds of a unit in virtual time: lost in space and tracking, so that no first frame is late.
+
+    It is told by PUS, whatever the unit's own dialect is: what takes time is not on the wire.
+    """
     star_tables(profile)
+    in_pus = profile.model_copy(update={"wire": profile.wire.model_copy(update={"dialect": "pus"})})
     scenario = Scenario(
         sky=Sky(false_spots=1),
         telecommands=[
@@ -31,7 +35,7 @@ def warm_up(profile: UnitProfile) -> None:
             ScenarioTelecommand(at_s=0.7, name="ping"),
         ],
     )
-    emulator = Emulator(profile, scenario)
+    emulator = Emulator(in_pus, scenario)
     emulator.advance(int(WARM_UP_S * 1e9))
     with contextlib.suppress(OSError):
         _marker().touch()

@@ -3,7 +3,7 @@
 A dialect gets the octets that its wire brings, gives the device commands and makes octets of its reports. It
 holds whatever the language has beyond the device: addresses, counters, subscriptions, transfers. A new one
 touches nothing of the device: it is a folder here, its messages in ``protocol``, and one
-:class:`DialectDefinition`.
+:class:`DialectDefinition`; or a package of a user's own project (``docs/adding_a_dialect.md``).
 """
 
 from __future__ import annotations
@@ -25,17 +25,26 @@ SettingsT = TypeVar("SettingsT", bound=Section)
 
 
 class Dialect(Protocol):
-    """One language on one wire, talking for one device."""
+    """One language on one wire, talking for one device.
+
+    It is made before power comes on, once for a whole run: resets and power cycles come as reports. All its
+    delays are events of virtual time, by ``device.later`` (void after a reset or when power goes) or by the
+    wire's clock; two of the same time run in the order in which they were scheduled. It tells the device by
+    ``check`` and ``execute``, at one instant, and asks it; it sets nothing of it.
+    """
 
     def arrive(self, data: bytes) -> None:
         """The link brought ``data`` at the present time: octets of a serial line or records of CAN frames
-        (:mod:`st_emulator.protocol.can.frames`)."""
+        (:mod:`st_emulator.protocol.can.frames`), cut and joined anyhow. Nothing in them raises; what comes
+        while the device does not listen is lost."""
 
     def on(self, report: Report) -> None:
-        """The device tells what happened, now."""
+        """The device tells what happened, now. It may be asked and telemetry may be sent here; a command
+        waits behind what the device is in the middle of: ``device.later(0, ...)``."""
 
     def take_work(self) -> Work:
-        """The processor's work for messages received and sent since the last call."""
+        """The processor's work for messages received and sent since the last call, counted by
+        :mod:`st_emulator.firmware_model.link_work`."""
 
     def drain_ns(self) -> int:
         """Time until what waits to be sent has left at the wire's full rate; 0 when nothing waits. The device
@@ -58,7 +67,7 @@ class SerialWire:
     """What a dialect on a serial line is made with.
 
     ``transmit`` takes octets when their last bit has left; ``pace_reception`` is False behind a real port,
-    whose octets have already taken their time.
+    whose octets have already taken their time. :class:`st_emulator.wire.serial_line.SerialLine` does both.
     """
 
     clock: VirtualClock
@@ -139,12 +148,14 @@ class DialectDefinition(Generic[SettingsT]):
     """One dialect: its name, its settings and how it is made.
 
     Args:
-        name: as in ``[wire] dialect`` of a unit file and ``--dialect``.
+        name: as in ``[wire] dialect`` of a unit file and ``--dialect`` (a user's own is ``module:NAME``
+            there), and of its table ``[dialects.NAME]``.
         title: one line for people.
         settings: what may stand in the unit file's table ``[dialects.NAME]``.
         on_serial, on_can: make it on a wire; None where the language has no such wire.
-        encode: a scenario's telecommand by name and fields, ``count`` telecommands after the first, as the
-            scenario's sender takes it; raises LocalProtocolError naming what is wrong and what is allowed.
+        encode: a scenario's telecommand by name and fields (of any type that TOML has), ``count``
+            telecommands after the first, as the scenario's sender takes it; raises LocalProtocolError naming
+            what is wrong and what is allowed.
         sender: the scenario's OBC on a wire: ``on_can`` says on which.
         exchange: the scripted exchange of the demo; None: it is another command's.
         document: the interface document, Markdown, from its message definitions; None: it is made elsewhere.

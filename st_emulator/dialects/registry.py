@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigurationError
 from ..units.profile import UnitProfile
 from ..units.validation import Section, validate
 from .dialect import DialectDefinition
+from .own_module import imported
 from .pus.definition import PUS
 
 SHIPPED: tuple[DialectDefinition[Any], ...] = (PUS,)
@@ -20,75 +21,124 @@ def dialect_names() -> list[str]:
     return [definition.name for definition in SHIPPED]
 
 
-@cache
-def dialect_named(name: str) -> DialectDefinition[Any]:
+def dialect_named(name: str, beside: Path | None = None) -> DialectDefinition[Any]:
     """A shipped dialect by its name, or a user's by ``module:NAME``: the module is imported, and NAME in it
     is a :class:`DialectDefinition`.
 
+    The module is looked for in the folder ``beside`` (that of the file which names it), then on the Python
+    path, then in the current folder; ``sys.path`` stays as it is.
+
     Raises:
-        ConfigurationError: no such dialect.
+        ConfigurationError: no such dialect; one line that says what is allowed.
     """
     for definition in SHIPPED:
         if definition.name == name:
             return definition
-    module, separator, attribute = name.partition(":")
-    if not separator:
+    return _own(name, None if beside is None else beside.resolve(), Path.cwd())
+
+
+@cache
+def _own(name: str, beside: Path | None, current: Path) -> DialectDefinition[Any]:
+    """A user's dialect. Failures are not kept: a module that was mended is tried again."""
+    module_name, _, attribute = name.partition(":")
+    parts = module_name.split(".")
+    if not attribute.isidentifier() or not all(part.isidentifier() for part in parts):
         raise ConfigurationError(
-            f"dialect '{name}': shipped are {', '.join(dialect_names())}; a dialect of your own is named "
-            "module:NAME, for instance my_project.my_dialect:DIALECT"
+            f"found {name!r}; allowed are {', '.join(dialect_names())}, or module:NAME for a dialect of your "
+            "own, for instance my_dialect.definition:DIALECT"
         )
-    try:
-        found = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigurationError(f"dialect '{name}': cannot be imported: {error}") from error
-    if not isinstance(found, DialectDefinition):
-        raise ConfigurationError(f"dialect '{name}': is no DialectDefinition but a {type(found).__name__}")
-    return found
+    module = imported(module_name, beside, current)
+    found = getattr(module, attribute, None)
+    if isinstance(found, DialectDefinition):
+        if found.name in dialect_names():
+            raise ConfigurationError(
+                f"{name} calls itself {found.name!r}, as a shipped dialect; allowed is any other name"
+            )
+        return found
+    defined = [key for key, value in vars(module).items() if isinstance(value, DialectDefinition)]
+    there_is = f"there is {', '.join(defined)}" if defined else "there is none in it"
+    wrong = f"is no DialectDefinition but a {type(found).__name__}"
+    if not hasattr(module, attribute):
+        wrong = "is not there"
+    raise ConfigurationError(
+        f"{attribute} in module {module_name} ({getattr(module, '__file__', None)}) {wrong}; allowed is the "
+        f"name of a DialectDefinition, {there_is}"
+    )
 
 
 def dialect_of(profile: UnitProfile) -> DialectDefinition[Any]:
-    """The dialect that a unit speaks."""
+    """The dialect that a unit speaks; a module of the user's own may lie beside the unit file.
+
+    Raises:
+        ConfigurationError: names the file, the key and what is allowed.
+    """
     try:
-        return dialect_named(profile.wire.dialect)
+        return dialect_named(profile.wire.dialect, _folder(profile))
     except ConfigurationError as error:
-        raise ConfigurationError(f"{profile.origin or profile.name}: wire.dialect: {error}") from error
+        raise ConfigurationError(f"{_where(profile)}: wire.dialect: {error}") from error
 
 
 def with_dialect(profile: UnitProfile, name: str | None) -> UnitProfile:
-    """The unit speaking another dialect; None: its own.
+    """The unit speaking another dialect, that of ``--dialect``; None: its own.
 
     Raises:
         ConfigurationError: no such dialect.
     """
     if name is None:
         return profile
-    dialect_named(name)
+    try:
+        dialect_named(name, _folder(profile))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"--dialect: {error}") from error
     return profile.model_copy(update={"wire": profile.wire.model_copy(update={"dialect": name})})
-
-
-def require_wire(profile: UnitProfile, can: bool) -> None:
-    """Refuse a wire that the unit's dialect does not have.
-
-    Raises:
-        ConfigurationError: says which it has.
-    """
-    definition = dialect_of(profile)
-    if can and definition.on_can is None:
-        raise ConfigurationError(f"dialect {definition.name}: knows no CAN bus; allowed are serial links")
-    if not can and definition.on_serial is None:
-        raise ConfigurationError(
-            f"dialect {definition.name}: knows no serial line; allowed are links can:..."
-        )
 
 
 def settings_of(profile: UnitProfile) -> Section:
     """The settings of a unit's dialect: its table ``[dialects.NAME]``, validated.
 
     Raises:
+        ConfigurationError: names the file, the key and what is allowed. Also for a table of a name that
+            nobody has while the dialect's own is missing: a typing slip that would be ignored else.
+    """
+    definition = dialect_of(profile)
+    if definition.name not in profile.dialects and definition.settings.model_fields:
+        for name in profile.dialects:
+            if name not in dialect_names():
+                raise ConfigurationError(
+                    f"{_where(profile)}: dialects.{name}: is not the name of the dialect that wire.dialect "
+                    f"chooses; allowed are {', '.join([definition.name, *dialect_names()])}"
+                )
+    settings: Section = validate(
+        definition.settings,
+        profile.dialects.get(definition.name, {}),
+        f"{_where(profile)}: dialects.{definition.name}",
+    )
+    return settings
+
+
+def require_wire(profile: UnitProfile, can: bool) -> None:
+    """Refuse a wire that the unit's dialect does not have; ``can``: a CAN bus, else a serial line.
+
+    Raises:
         ConfigurationError: names the file, the key and what is allowed.
     """
     definition = dialect_of(profile)
-    given = profile.dialects.get(definition.name, {})
-    where = f"{profile.origin or profile.name}: dialects.{definition.name}"
-    settings: Section = validate(definition.settings, given, where)
-    return settings
+    if can and definition.on_can is None:
+        raise ConfigurationError(
+            f"{_where(profile)}: wire.dialect: {definition.name} has no CAN bus; allowed is a link that is a "
+            "serial line (pty, serial:DEV, none), or another dialect"
+        )
+    if not can and definition.on_serial is None:
+        raise ConfigurationError(
+            f"{_where(profile)}: wire.dialect: {definition.name} has no serial line; allowed is a link that "
+            "is a CAN bus (can:INTERFACE/CHANNEL), or another dialect"
+        )
+
+
+def _where(profile: UnitProfile) -> str:
+    return profile.origin or profile.name
+
+
+def _folder(profile: UnitProfile) -> Path | None:
+    """The folder of the file that a unit came from."""
+    return Path(profile.origin).parent if profile.origin else None

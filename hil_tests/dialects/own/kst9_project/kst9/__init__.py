@@ -1,0 +1,1 @@
+"""The language of the KST-9 (see ../../icd.md)."""
