@@ -249,6 +249,7 @@ class StarTracker:
             return
         self.imaging.stop()
         self._health.reset()  # the self-test judges anew
+        self.last_reasons = Reason.NOT_ACQUIRING
         self.image_memory.abort_capture()
         self._give_up_acquisition(Failure.ABORTED)
         self._give_up_self_test()
