@@ -10,10 +10,11 @@ from ..errors import ConfigurationError
 from ..units.profile import UnitProfile
 from ..units.validation import Section, validate
 from .dialect import DialectDefinition
+from .nos3.definition import NOS3
 from .own_module import imported
 from .pus.definition import PUS
 
-SHIPPED: tuple[DialectDefinition[Any], ...] = (PUS,)
+SHIPPED: tuple[DialectDefinition[Any], ...] = (PUS, NOS3)
 
 
 def dialect_names() -> list[str]:

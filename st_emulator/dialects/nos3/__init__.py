@@ -1,0 +1,1 @@
+"""The dialect ``nos3``: NASA's generic star tracker on a serial line."""

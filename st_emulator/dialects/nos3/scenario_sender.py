@@ -1,0 +1,52 @@
+"""The OBC that a scenario's telecommands stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ...protocol.errors import LocalProtocolError
+from ...protocol.nos3.messages import LAYOUTS, encode_command
+from .settings import Nos3Settings
+
+
+def encode_telecommand(settings: Nos3Settings, name: str, fields: Mapping[str, Any]) -> bytes:
+    """A scenario's telecommand: a command of the unit's layout by its name; its one field is ``payload``, a
+    number or a number as text (``"0x1F"``), 0 when it is left out.
+
+    Raises:
+        LocalProtocolError: names what is wrong and what is allowed.
+    """
+    for field in fields:
+        if field != "payload":
+            raise LocalProtocolError(name, field, fields[field], "payload alone")
+    payload = fields.get("payload", 0)
+    if isinstance(payload, str):
+        try:
+            payload = int(payload, 0)
+        except ValueError:
+            raise LocalProtocolError(name, "payload", payload, "a whole number") from None
+    return encode_command(LAYOUTS[settings.layout], name, payload)
+
+
+class LineSender:
+    """Puts commands and raw octets onto the line as they are, each in one write."""
+
+    def __init__(self) -> None:
+        self._outbox: list[bytes] = []
+
+    def send(self, message: bytes, now_ns: int) -> None:
+        self._outbox.append(message)
+
+    def send_raw(self, octets: bytes, now_ns: int) -> None:
+        self._outbox.append(octets)
+
+    def take(self, data: bytes, now_ns: int) -> None:
+        pass
+
+    def poll(self, now_ns: int) -> list[bytes]:
+        due, self._outbox = self._outbox, []
+        return due
+
+    def next_ns(self) -> int | None:
+        return None
