@@ -58,9 +58,7 @@ def test_one_without_a_service_is_refused_and_the_unit_lives(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As a registry would have it that is ahead of the unit."""
-    monkeypatch.setattr(
-        "st_emulator.dialects.pus.dialect.SERVED", {n: s for n, s in SERVED.items() if n != "memory_dump"}
-    )
+    monkeypatch.delitem(bench.emulator.dialect.receiver._served, "memory_dump")
     count = bench.send("memory_dump", {"memory_id": 1, "start_address": 0, "length": 3})
     bench.run(50)
     assert bench.failure(count) == ("acceptance_failure", 5, 6 * 256 + 5)

@@ -10,7 +10,7 @@ from typing import Any
 from unittest.mock import patch
 
 from st_emulator.device import imaging, parameters
-from st_emulator.dialects.pus.dialect import PusDialect
+from st_emulator.dialects.pus.transmission import Transmitter
 from st_emulator.firmware_model import firmware, frame_search
 from st_emulator.world.scene import RenderedFrame
 
@@ -23,7 +23,7 @@ STAGES: tuple[tuple[str, object, str], ...] = (
     ("identify", firmware, "verify_by_pivot"),
     ("attitude", frame_search, "robust_q_method"),
     ("firmware_rest", imaging, "process_frame"),
-    ("packet", PusDialect, "send"),
+    ("packet", Transmitter, "send"),
 )
 
 

@@ -8,26 +8,24 @@ from typing import Any
 
 from ...clock import NS_PER_US
 from ...device import reports
-from ...device.counters import saturated
 from ...device.star_tracker import StarTracker
 from ...firmware_model.causes import ResetCause
 from ...firmware_model.link_work import line_work, round_work, telecommand_work
 from ...firmware_model.work import Work
-from ...protocol.pus.enumerations import EventId, FailureCode, HousekeepingId, MalformedReason
-from ...protocol.pus.packets import Telecommand, error_controlled_bytes
+from ...protocol.pus.enumerations import HousekeepingId, MalformedReason
+from ...protocol.pus.packets import error_controlled_bytes
 from ...wire.can.port import CanPort
 from ...wire.port import PortClient, UnitPort
 from ...wire.slip_port import SlipPort
 from ..dialect import CanWire, SerialWire
 from .cyclic import CyclicFrames
-from .reception import Check, Receiver
+from .reception import Receiver
 from .services import connection_test, events, functions, housekeeping, memory, parameters, time_management
 from .services.attitude import attitude_fields
 from .services.large_data import LargeData
 from .serving import Served
 from .structures import link_values, no_bus_values, status_values, timing_values
 from .transmission import Transmitter
-from .verification import RejectedError
 
 #: Every telecommand of the language: how it is served. A test holds it equal to the registry.
 SERVED: Mapping[str, Served[Any]] = {
@@ -62,14 +60,16 @@ class PusDialect:
         self.port = make_port(self)
         wire = device.profile.wire
         self.transmitter = Transmitter(device, self.port, wire.apid, wire.source_id)
-        self.events = events.Events(self.send)
-        self.receiver = Receiver(self.send, self.events.raise_event, self._check_of, wire.apid)
+        send = self.transmitter.send
+        self.events = events.Events(send)
+        self.transmitter.on_lost = self.events.packets_lost
+        self.receiver = Receiver(device, send, self.events.raise_event, wire.apid)
         self.cyclic = None if make_cyclic is None else make_cyclic(device, self.events)
         self.image = LargeData(device, self.port, self.transmitter, self.events.raise_event)
-        self.time = time_management.TimeManagement(device, self.send)
+        self.time = time_management.TimeManagement(device, send)
         self.housekeeping = housekeeping.Housekeeping(
             device,
-            self.send,
+            send,
             {
                 HousekeepingId.STATUS: partial(status_values, device),
                 HousekeepingId.LINK: partial(
@@ -79,14 +79,14 @@ class PusDialect:
                 HousekeepingId.CAN: no_bus_values if self.cyclic is None else self.cyclic.housekeeping,
             },
         )
-        self._checks: dict[str, Check] = {}
-        self._serve(connection_test.ConnectionTest(), connection_test.SERVED)
-        self._serve(self.housekeeping, housekeeping.SERVED)
-        self._serve(self.events, events.SERVED)
-        self._serve(memory.MemoryManagement(device, self.image), memory.SERVED)
-        self._serve(self.time, time_management.SERVED)
-        self._serve(functions.Functions(device, self.image), functions.SERVED)
-        self._serve(parameters.ParameterManagement(device), parameters.SERVED)
+        serve = self.receiver.serve
+        serve(connection_test.ConnectionTest(), connection_test.SERVED)
+        serve(self.housekeeping, housekeeping.SERVED)
+        serve(self.events, events.SERVED)
+        serve(memory.MemoryManagement(device, self.image), memory.SERVED)
+        serve(self.time, time_management.SERVED)
+        serve(functions.Functions(device, self.image), functions.SERVED)
+        serve(parameters.ParameterManagement(device), parameters.SERVED)
         self._reception = Work()  # not yet in the work of a frame
 
     @classmethod
@@ -112,10 +112,6 @@ class PusDialect:
             return CyclicFrames(device, made[0], of.raise_event)
 
         return cls(device, port, cyclic)
-
-    def _serve(self, service: Any, table: Mapping[str, Served[Any]]) -> None:
-        for name, served in table.items():
-            self._checks[name] = partial(served.check, service)
 
     # -- Dialect
 
@@ -192,7 +188,7 @@ class PusDialect:
         if self.cyclic is not None and not self.device.silent:
             self.cyclic.report_attitude(fields)
         if wanted:
-            self.send("attitude_report", fields)
+            self.transmitter.send("attitude_report", fields)
 
     # -- the port's client
 
@@ -219,25 +215,3 @@ class PusDialect:
     def _handle(self, raw: bytes, received_ns: int) -> None:
         if self.device.listening:
             self.receiver.handle(raw, received_ns)
-
-    def _check_of(self, telecommand: Telecommand) -> Check:
-        """What checks a telecommand, if the present mode allows it."""
-        served = SERVED.get(telecommand.name)
-        if served is None:
-            raise RejectedError(
-                FailureCode.UNKNOWN_SUBSERVICE, telecommand.service << 8 | telecommand.subservice
-            )
-        if self.device.mode not in served.modes_for(telecommand.fields):
-            raise RejectedError(FailureCode.NOT_ALLOWED_IN_MODE, int(self.device.mode))
-        return self._checks[telecommand.name]
-
-    # -- out
-
-    def send(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool:
-        """Send telemetry; nothing leaves in BOOT and OFF."""
-        if self.device.silent:
-            return False
-        sent = self.transmitter.send(name, fields, destination_id)
-        if sent and self.transmitter.has_room and (lost := self.transmitter.take_lost()):
-            self.events.raise_event(EventId.TX_QUEUE_OVERFLOWED, packets=saturated(lost, 16))
-        return sent

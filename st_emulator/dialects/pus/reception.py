@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, Protocol
 
 from ...device.counters import saturated
+from ...device.star_tracker import StarTracker
 from ...protocol.pus.enumerations import EventId, FailureCode, MalformedReason
 from ...protocol.pus.field_types import FieldViolation
 from ...protocol.pus.packets import SEQUENCE_MODULO, Malformed, RequestId, Telecommand
 from ...protocol.pus.registry import field_violation, parse_telecommand
-from .serving import Execute
+from .serving import Execute, Served
 from .verification import RejectedError, Request, Send
 
 
@@ -48,24 +50,36 @@ class RaiseEvent(Protocol):
 Check = Callable[[Request], Execute]
 
 
+@dataclass(frozen=True)
+class _Bound:
+    """How a telecommand is served, and by the service of this unit."""
+
+    served: Served[Any]
+    check: Check
+
+
 class Receiver:
     """Packets as they were received to executed telecommands.
 
     Args:
+        device: whose mode decides what is allowed.
         send, raise_event: reports out.
-        check_of: what checks a telecommand; refuses one that the present mode does not allow.
         apid: the unit's.
     """
 
-    def __init__(
-        self, send: Send, raise_event: RaiseEvent, check_of: Callable[[Telecommand], Check], apid: int
-    ) -> None:
+    def __init__(self, device: StarTracker, send: Send, raise_event: RaiseEvent, apid: int) -> None:
+        self._device = device
         self._send = send
         self._raise_event = raise_event
-        self._check_of = check_of
         self._apid = apid
+        self._served: dict[str, _Bound] = {}
         self.counters = LinkCounters()
         self._expected_sequence: dict[int, int] = {}
+
+    def serve(self, service: Any, table: Mapping[str, Served[Any]]) -> None:
+        """``service`` serves the telecommands of a service module's table."""
+        for name, served in table.items():
+            self._served[name] = _Bound(served, partial(served.check, service))
 
     def reset(self) -> None:
         """As after power-on: no telecommand has come yet."""
@@ -97,7 +111,7 @@ class Receiver:
         self._check_sequence(parsed.source_id, parsed.sequence_count)
         request = Request(parsed, received_ns, self._send)
         try:
-            check = self._check_of(parsed)
+            check = self._allowed(parsed)
             violation = field_violation(parsed)
             if violation is not None:
                 raise _refusal(parsed, violation)
@@ -111,6 +125,16 @@ class Receiver:
         self.counters.tc_accepted += 1
         request.accepted()
         execute()
+
+    def _allowed(self, telecommand: Telecommand) -> Check:
+        """What checks a telecommand, if there is somebody and the present mode allows it."""
+        bound = self._served.get(telecommand.name)
+        if bound is None:
+            number = telecommand.service << 8 | telecommand.subservice
+            raise RejectedError(FailureCode.UNKNOWN_SUBSERVICE, number)
+        if self._device.mode not in bound.served.modes_for(telecommand.fields):
+            raise RejectedError(FailureCode.NOT_ALLOWED_IN_MODE, int(self._device.mode))
+        return bound.check
 
     def _check_sequence(self, source: int, received: int) -> None:
         """Look at the sequence count of a whole and undamaged telecommand, executed or refused."""

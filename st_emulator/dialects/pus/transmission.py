@@ -5,6 +5,7 @@ wire.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from typing import Any
 
 from ...device.star_tracker import StarTracker
@@ -24,8 +25,9 @@ RESERVED_SERVICES = (1, 5)
 class Transmitter:
     """Builds and queues the unit's telemetry. A packet that finds the queue full is lost, never half sent.
 
-    ``packets`` and ``bytes`` count what was queued, ``lost_packets`` what was lost since the last
-    :meth:`take_lost`; ``work`` is that of building packets, lost ones too, since the last :meth:`take_work`.
+    ``packets`` and ``bytes`` count what was queued, ``lost_packets`` what was lost and not told yet;
+    ``on_lost`` is told how many when there is room again. ``work`` is that of building packets, lost ones
+    too, since the last :meth:`take_work`.
     """
 
     def __init__(self, device: StarTracker, port: UnitPort, apid: int, destination_id: int) -> None:
@@ -39,6 +41,7 @@ class Transmitter:
         self.bytes = 0
         self.lost_packets = 0
         self.work = Work()
+        self.on_lost: Callable[[int], None] = lambda packets: None
 
     def reset(self) -> None:
         """Sequence and message counts start anew; what waits in the port is lost."""
@@ -57,22 +60,20 @@ class Transmitter:
         """Whether half of the queue is free: time to tell what was lost, without losing that as well."""
         return self._port.queued_bytes <= QUEUE_LIMIT_BYTES // 2
 
-    def take_lost(self) -> int:
-        """How many packets were lost since the last call."""
-        lost, self.lost_packets = self.lost_packets, 0
-        return lost
-
     def take_work(self) -> Work:
         """The work since the last call."""
         work, self.work = self.work, Work()
         return work
 
     def send(self, name: str, fields: dict[str, Any], destination_id: int | None = None) -> bool:
-        """Queue the telemetry message ``name``; False when the queue was full and the packet is lost.
+        """Queue the telemetry message ``name``; False when the queue was full and the packet is lost, and in
+        BOOT and OFF, where nothing leaves.
 
         ``destination_id``: the source of the telecommand that it answers; the unit's own default for all
         else.
         """
+        if self._device.silent:
+            return False
         definition = REGISTRY.by_name(name)
         kind = (definition.service, definition.subservice)
         packet = encode_telemetry(
@@ -98,4 +99,7 @@ class Transmitter:
             return False
         self.packets += 1
         self.bytes += queued_bytes
+        if self.lost_packets and self.has_room:
+            lost, self.lost_packets = self.lost_packets, 0
+            self.on_lost(lost)
         return True

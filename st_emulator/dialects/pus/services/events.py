@@ -34,6 +34,10 @@ class Events:
         if int(event) not in self._disabled:
             self._send(EVENTS[event].message_name, {"event_id": int(event), "data": data})
 
+    def packets_lost(self, packets: int) -> None:
+        """So many packets found the queue full, and there is room again."""
+        self.raise_event(EventId.TX_QUEUE_OVERFLOWED, packets=saturated(packets, 16))
+
     def report(self, report: reports.Report) -> None:
         """The event that a report of the device is, if it is one."""
         match report:
