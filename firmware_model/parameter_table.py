@@ -57,7 +57,7 @@ class ParameterDefinition:
     def stored(self, value: float | int) -> float | int:
         """``value`` as the memory keeps it: floats rounded to 32 bits. ValueError when it does not fit."""
         if not self.fits(value):
-            raise ValueError(f"{self.name} = {value!r}: allowed are {self.minimum:g} to {self.maximum:g}")
+            raise ValueError(f"{self.name} = {value!r}; allowed: {self.minimum:.15g}..{self.maximum:.15g}")
         return _as_f32(value) if self.storage is Storage.F32 else int(value)
 
 

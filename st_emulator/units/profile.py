@@ -175,12 +175,12 @@ class Wire(Section):
     """``dialect``: the language on the wire, a shipped one or ``module:NAME`` of your own; its settings
     stand in ``[dialects.NAME]``. Those of pus are the other keys here and ``[can]``."""
 
-    dialect: str = "pus"
     apid: Annotated[int, Field(ge=1, le=2046)]
     source_id: Annotated[int, Field(ge=0, le=65535)]
     baud: Annotated[int, Field(ge=300, le=4_000_000)]
     attitude_report: bool = True
     status_interval_ms: Annotated[int, Field(ge=0, le=3_600_000)] = 1000
+    dialect: str = "pus"
 
 
 class Requirements(Section):
