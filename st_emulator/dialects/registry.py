@@ -13,8 +13,9 @@ from .dialect import DialectDefinition
 from .nos3.definition import NOS3
 from .own_module import imported
 from .pus.definition import PUS
+from .sagitta.definition import SAGITTA
 
-SHIPPED: tuple[DialectDefinition[Any], ...] = (PUS, NOS3)
+SHIPPED: tuple[DialectDefinition[Any], ...] = (PUS, NOS3, SAGITTA)
 
 
 def dialect_names() -> list[str]:
