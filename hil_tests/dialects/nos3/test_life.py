@@ -220,7 +220,7 @@ def test_what_the_device_tells_beside_is_not_sent():
 
 
 def test_it_has_no_can_bus():
-    with pytest.raises(ConfigurationError, match="nos3: has no CAN bus"):
+    with pytest.raises(ConfigurationError, match="nos3 has no CAN bus"):
         Emulator(unit(), can=CanWiring())
 
 
