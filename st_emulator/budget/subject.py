@@ -13,7 +13,6 @@ from ..device.parameters import default_parameters
 from ..errors import ConfigurationError
 from ..firmware_model.parameter_table import PARAMETERS_BY_NAME
 from ..firmware_model.processor import LINE_FILLS, CycleBudget, ProcessorProfile
-from ..protocol.errors import LocalProtocolError
 from ..units.profile import UnitProfile
 
 Parameters = tuple[tuple[str, float | int], ...]
@@ -40,7 +39,7 @@ class Subject:
         for name, value in values.items():
             try:
                 changed[name] = PARAMETERS_BY_NAME[name].stored(value)
-            except LocalProtocolError as error:
+            except ValueError as error:
                 raise ConfigurationError(f"{name}: {error}") from error
         return Subject(self.profile, tuple(sorted(changed.items())))
 
