@@ -201,6 +201,11 @@ def run_unit(options: RunOptions) -> None:
         worker = FrameWorker() if speed != math.inf else None
         if worker is not None:
             stack.callback(worker.close)
+
+        def transmit(data: bytes, t_ns: int) -> int | None:
+            written = link.write(data)
+            return None if specification.kind == "none" else written  # without a link nothing is refused
+
         emulator = Emulator(
             profile,
             scenario,
@@ -208,7 +213,7 @@ def run_unit(options: RunOptions) -> None:
             frames=frames,
             hold=options.hold,
             store=store,
-            transmit=lambda data, t_ns: link.write(data),
+            transmit=transmit,
             journal=journal,
             truth=truth,
             submit=worker.submit if worker is not None else Lazy,

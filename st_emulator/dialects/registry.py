@@ -9,13 +9,14 @@ from typing import Any
 from ..errors import ConfigurationError
 from ..units.profile import UnitProfile
 from ..units.validation import Section, validate
+from .canopen.definition import CANOPEN
 from .dialect import DialectDefinition
 from .nos3.definition import NOS3
 from .own_module import imported
 from .pus.definition import PUS
 from .sagitta.definition import SAGITTA
 
-SHIPPED: tuple[DialectDefinition[Any], ...] = (PUS, NOS3, SAGITTA)
+SHIPPED: tuple[DialectDefinition[Any], ...] = (PUS, CANOPEN, NOS3, SAGITTA)
 
 
 def dialect_names() -> list[str]:
