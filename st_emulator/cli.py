@@ -204,17 +204,20 @@ def demo(
             "--dialect",
             metavar="NAME",
             help="Show another language instead: a scripted exchange in virtual time, its octets on the "
-            "screen (`sagitta`, `nos3`, `canopen`, or `module:NAME` of your own).",
+            "screen (`sagitta`, `nos3`, `canopen`, or `module:NAME` of your own). Default: the unit file's.",
         ),
     ] = None,
 ) -> None:
     """Show the main job: a unit and an OBC as two processes over a pseudo-terminal or a CAN bus, in real
     time.
     """
-    if dialect not in (None, "pus"):
+    from .units.profile import load_unit
+
+    language = dialect or load_unit(unit).wire.dialect
+    if language != "pus":
         from .commands.dialect_demo import run_dialect_demo
 
-        raise typer.Exit(run_dialect_demo(unit, str(dialect), seed, json_path, console_for(json_path)))
+        raise typer.Exit(run_dialect_demo(unit, language, seed, json_path, console_for(json_path)))
     from .commands.demo import run_demo
 
     raise typer.Exit(run_demo(unit, seconds, json_path, out, seed, console_for(json_path), link))

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ..bench.emulator import Emulator
 from ..bench.scenario import EarthFixedTrajectory, Scenario, ScenarioTelecommand
 from ..clock import NS_PER_S
+from ..dialects.registry import with_dialect
 from ..obc.listening import TelemetryListener
 from ..report import check
 from ..tai import tai_ns_from_utc
@@ -52,7 +53,8 @@ def run(request: CampaignRequest) -> CampaignResult:
             ScenarioTelecommand(at_s=ACQUIRE_S, name="function", fields={"function_id": "START_ACQUISITION"}),
         ],
     )
-    emulator = Emulator(request.profile, scenario, seed=request.seed, transmit=listener.transmitted)
+    in_pus = with_dialect(request.profile, "pus")  # what is listened to
+    emulator = Emulator(in_pus, scenario, seed=request.seed, transmit=listener.transmitted)
     end_s = ACQUIRE_S + 1.0 + seconds
     with request.workers.progress.task(int(end_s)) as advance:
         for second in range(1, int(end_s) + 1):

@@ -47,6 +47,11 @@ def connect_to(
     if node is not None and specification.kind != "can":
         raise ConfigurationError(f"node {node}: only a CAN bus has node numbers, and the link is {link}")
     if profile is not None:
+        if profile.wire.dialect != "pus":
+            raise ConfigurationError(
+                f"unit {unit}: speaks {profile.wire.dialect}; the OBC simulator speaks pus alone. "
+                f"st-emulator demo --dialect {profile.wire.dialect} shows an exchange"
+            )
         apid = profile.apid if apid is None else apid
         source_id = profile.wire.source_id if source_id is None else source_id
         baud = profile.wire.baud if baud is None else baud

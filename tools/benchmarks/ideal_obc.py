@@ -9,13 +9,12 @@ from st_emulator.bench.emulator import Emulator
 from st_emulator.bench.scenario import Scenario
 from st_emulator.protocol.can.bits import frame_duration_ns
 from st_emulator.protocol.can.frames import CanFrame, RecordDecoder, encode_record
+from st_emulator.protocol.can.transfer import CONSECUTIVE, frame_kind
 from st_emulator.protocol.can.transport import IsoTpConnection, IsoTpSettings, PduReceived
 from st_emulator.protocol.pus.packets import MAX_TELEMETRY_BYTES, Telemetry
 from st_emulator.protocol.pus.registry import encode_telecommand, parse_telemetry
 from st_emulator.units.profile import UnitProfile
 from st_emulator.wire.can.wiring import CanWiring
-
-CONSECUTIVE_FRAME = 2  # high nibble of its first byte
 
 
 @dataclass
@@ -90,7 +89,7 @@ class IdealObc:
         for frame in self._records.receive(data):
             if frame.identifier != self._telemetry:
                 continue
-            if frame.data[0] >> 4 == CONSECUTIVE_FRAME:
+            if frame_kind(frame.data) == CONSECUTIVE:
                 wire_ns = frame_duration_ns(frame, self._bus.bitrate, self._bus.data_bitrate)
                 self.consecutive.append((len(frame.data) - 1, wire_ns))
             for event in self._connection.receive(frame, t_ns):

@@ -18,11 +18,11 @@ from spread import of_delays
 from st_emulator.bench.journal import Journal, read_journal
 from st_emulator.bench.scenario import parse_scenario
 from st_emulator.clock import NS_PER_S
+from st_emulator.protocol.can.transfer import FIRST, SINGLE, frame_kind
 from st_emulator.units.profile import load_unit
 
 SETTLE_S = 30.0  # start of the machine and the unit, the image at the end
 PING = (17, 1)
-FIRST_FRAME, SINGLE_FRAME = 1, 0
 
 
 def measure(unit: str, seconds: float, at_ping: Callable[[], None]) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def telecommand_times(journal: Journal) -> list[int]:
         data = entry.data
         while data:
             word, length = struct.unpack_from(">IB", data)
-            if word == identifier and data[8] >> 4 in (FIRST_FRAME, SINGLE_FRAME):
+            if word == identifier and frame_kind(data[8 : 8 + length]) in (FIRST, SINGLE):
                 times.append(entry.t_ns)
             data = data[8 + length :]
     return times
