@@ -87,16 +87,6 @@ _Marks = tuple[IntArray, IntArray, IntArray, IntArray, IntArray]
 _Windows = tuple[FloatArray, FloatArray]
 
 
-def mismatch_probability(stars: int, precision_rad: float, sines: tuple[float, float, float]) -> float:
-    """Equation (15): how many catalogue stars fit three angles from a pivot by chance.
-
-    rho = N [(N - 1) sin(k sigma)]^3 sin(th_ij) sin(th_ik) sin(th_il), with N stars evenly over the sky,
-    k sigma = precision_rad the largest error of an angle, and the sines of the angles. It says nothing of
-    the angles between the partners; `false_solutions_kernel` counts with these, for any number of stars.
-    """
-    return float(stars * ((stars - 1) * math.sin(precision_rad)) ** 3 * math.prod(sines))
-
-
 def identify(
     spikes: Spikes, catalogue: StarTables, parameters: IdentificationParameters
 ) -> tuple[Identification, Work]:

@@ -16,11 +16,11 @@ from hil_tests.firmware_model.synthetic_sky import (
     turn_between,
     turned,
 )
+from hil_tests.firmware_model.wahba import q_method
 from st_emulator.firmware_model.attitude import (
     angular_rate,
     attitude_matrix,
     largest_eigenvector_kernel,
-    q_method,
     quaternion_product,
     robust_q_method,
     rotation_between,

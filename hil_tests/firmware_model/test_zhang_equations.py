@@ -18,7 +18,6 @@ from st_emulator.firmware_model.catalogue.kvector import build_kvector, range_ke
 from st_emulator.firmware_model.catalogue.pairs import build_pair_catalogue, cosine_range
 from st_emulator.firmware_model.catalogue.star_catalogue import build_star_catalogue
 from st_emulator.firmware_model.catalogue.tables import StarTables
-from st_emulator.firmware_model.identification.brightness_referenced import mismatch_probability
 from st_emulator.firmware_model.image.spots import Spots
 
 DEG = math.pi / 180
@@ -110,6 +109,16 @@ def test_13_14_the_papers_range_holds_ours_and_hardly_more(
     step = (p[-1] - p[0]) / (len(p) - 1)
     widest = cosine_range(theta, 2 * epsilon)
     assert end - start + 1 <= ((p > widest[0] - step) & (p <= widest[1] + step)).sum()
+
+
+def mismatch_probability(stars: int, precision_rad: float, sines: tuple[float, float, float]) -> float:
+    """Equation (15): how many catalogue stars fit three angles from a pivot by chance.
+
+    rho = N [(N - 1) sin(k sigma)]^3 sin(th_ij) sin(th_ik) sin(th_il), with N stars evenly over the sky,
+    k sigma = precision_rad the largest error of an angle, and the sines of the angles. It says nothing of
+    the angles between the partners.
+    """
+    return float(stars * ((stars - 1) * math.sin(precision_rad)) ** 3 * math.prod(sines))
 
 
 def test_15_mismatch_probability_by_hand() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum, auto
 from typing import Final
 
 from .dictionary import Dictionary
@@ -52,14 +51,6 @@ def pack(dictionary: Dictionary, index: int) -> bytes:
         octets = dictionary.octets(item, sub)
         data += bytes(size) if isinstance(octets, AbortCode) else octets[:size].ljust(size, b"\0")
     return data
-
-
-class Trigger(Enum):
-    """What sent a TPDO."""
-
-    EVENT = auto()
-    SYNC = auto()
-    TIMER = auto()
 
 
 @dataclass

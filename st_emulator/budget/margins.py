@@ -20,12 +20,6 @@ class Late:
     late: Figure
     dropped: Figure
 
-    @property
-    def share_text(self) -> str:
-        """``0 of 400: 0.0 % (95 %: 0.0-1.0)``."""
-        found = share(int(self.late.value), self.frames)
-        return f"{100 * found.value:.1f} % (95 %: {found.interval(1)})"
-
     def as_dict(self) -> dict[str, object]:
         found = share(int(self.late.value), self.frames)
         return {

@@ -157,9 +157,3 @@ def pointing_from_quaternion(q_icrs_to_sensor: ArrayLike) -> tuple[float, float,
         float(np.degrees(dec)),
         float(roll) if roll > -180.0 else 180.0,
     )
-
-
-def unit_vector(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Array:
-    """ICRS unit vectors ``[..., 3]`` of right ascensions and declinations in degrees."""
-    ra, dec = np.radians(np.asarray(ra_deg, float)), np.radians(np.asarray(dec_deg, float))
-    return np.stack((np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)), axis=-1)
