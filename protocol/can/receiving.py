@@ -27,7 +27,7 @@ from .vocabulary import TransferFailure
 _SHORTEST_LONG_SINGLE = {length: max(shorter - 1, CLASSIC_BYTES) for shorter, length in pairwise(FRAME_BYTES)}
 
 
-class Receiver:
+class PduReceiver:
     """``reception_deadline_ns`` is the end of N_Cr, ``flow_control_deadline_ns`` that of N_Ar, each NEVER_NS
     where it does not run. ``handed_over`` is the flow control whose confirmation is awaited.
 

@@ -25,7 +25,7 @@ _LONGEST_SEPARATION_NS = 127_000_000
 _SEQUENCES = [bytes([CONSECUTIVE << 4 | number]) for number in range(16)]
 
 
-class Sender:
+class PduSender:
     """``deadline_ns`` is the end of the timer that runs (N_As or N_Bs), ``ready_ns`` the time from which the
     next frame may be handed over, each NEVER_NS where there is none. ``handed_over`` is the frame whose
     confirmation is awaited.

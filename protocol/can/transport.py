@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from ..errors import LocalProtocolError
 from .frames import CanFrame
-from .receiving import Receiver
-from .sending import Sender
+from .receiving import PduReceiver
+from .sending import PduSender
 from .transfer import (
     CONSECUTIVE,
     FIRST,
@@ -62,8 +62,8 @@ class IsoTpConnection:
     def __init__(self, settings: IsoTpSettings) -> None:
         self.settings = settings
         self.counters = IsoTpCounters()
-        self._receiver = Receiver(settings, self.counters)
-        self._sender = Sender(settings, self.counters)
+        self._receiver = PduReceiver(settings, self.counters)
+        self._sender = PduSender(settings, self.counters)
         self._receive_identifier = settings.receive_identifier
         self._extended = settings.extended
         self._fd = settings.fd
