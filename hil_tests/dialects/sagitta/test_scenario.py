@@ -90,6 +90,7 @@ def test_time_by_number_or_date_and_words_by_the_setting() -> None:
         ("set_camera", {"exposure_s": "long"}, "exposure_s"),
         ("set_subscription", {"telemetry_ids": [1]}, "telemetry_ids"),
         ("set_time", {}, "unix_us"),
+        ("set_time", {"time": "2026-01-15T00:00:00Z"}, "time"),
         ("set_time", {"utc": "yesterday"}, "utc"),
         ("set_time", {"utc": 5}, "utc"),
         ("set_time", {"utc": "0001-01-01T00:00:00+14:00"}, "utc"),
