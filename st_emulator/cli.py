@@ -216,7 +216,7 @@ def demo(
     from .units.profile import load_unit
 
     of_unit = load_unit(unit).wire.dialect
-    language = dialect or of_unit
+    language = of_unit if dialect is None else dialect
     if language != "pus":
         for name in ("seconds", "out", "link"):
             if getattr(context.get_parameter_source(name), "name", "") == "COMMANDLINE":

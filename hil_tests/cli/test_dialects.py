@@ -53,6 +53,7 @@ def test_a_run_its_journal_and_its_replay(command, tmp_path: Path, dialect: str)
 def test_what_is_refused(refused, tmp_path: Path) -> None:
     refused("run", "roja1", "--dialect", "klingon", says=("klingon", "pus", "sagitta", "module:NAME"))
     refused("demo", "--dialect", "klingon", says=("klingon", "pus"))
+    refused("demo", "--dialect", "", says=("--dialect: found", "pus"))
     can = ("--link", "can:virtual/x")
     refused("run", "roja1", "--dialect", "sagitta", *can, says=("--dialect: sagitta", "no CAN bus"))
     refused("run", "roja1", "--dialect", "canopen", "--link", "pty", says=("canopen", "no serial line"))
