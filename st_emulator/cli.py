@@ -19,8 +19,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
-    help="Hardware-in-the-loop star tracker firmware emulator: a star tracker on a serial line, from "
-    "the sky to the bytes.",
+    help="Hardware-in-the-loop star tracker firmware emulator: a star tracker on a serial line or a CAN bus, "
+    "from the sky to the bytes.",
 )
 app.add_typer(export_app, name="export")
 
@@ -181,6 +181,7 @@ def run(
 
 @app.command()
 def demo(
+    context: typer.Context,
     unit: Unit = "roja1",
     seconds: Annotated[
         float, typer.Option("--seconds", min=12, max=3600, help="Length of the run, real time.")
@@ -204,7 +205,8 @@ def demo(
             "--dialect",
             metavar="NAME",
             help="Show another language instead: a scripted exchange in virtual time, its octets on the "
-            "screen (`sagitta`, `nos3`, `canopen`, or `module:NAME` of your own). Default: the unit file's.",
+            "screen, without link and files (`sagitta`, `nos3`, `canopen`, or `module:NAME` of your own). "
+            "Default: the unit file's.",
         ),
     ] = None,
 ) -> None:
@@ -213,11 +215,23 @@ def demo(
     """
     from .units.profile import load_unit
 
-    language = dialect or load_unit(unit).wire.dialect
+    of_unit = load_unit(unit).wire.dialect
+    language = of_unit if dialect is None else dialect
     if language != "pus":
+        for name in ("seconds", "out", "link"):
+            if getattr(context.get_parameter_source(name), "name", "") == "COMMANDLINE":
+                raise ConfigurationError(
+                    f"--{name}: the exchange in {language} is scripted and has no such option; allowed are "
+                    "--unit, --dialect, --seed, --json"
+                )
         from .commands.dialect_demo import run_dialect_demo
 
         raise typer.Exit(run_dialect_demo(unit, language, seed, json_path, console_for(json_path)))
+    if of_unit != "pus":
+        raise ConfigurationError(
+            f"--dialect pus: unit {unit} speaks {of_unit}, and the OBC of the demo speaks pus alone; "
+            "allowed is a unit file without wire.dialect, or the demo without --dialect"
+        )
     from .commands.demo import run_demo
 
     raise typer.Exit(run_demo(unit, seconds, json_path, out, seed, console_for(json_path), link))

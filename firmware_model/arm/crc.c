@@ -1,5 +1,5 @@
 /* Packet error control: CRC-16 of ECSS-E-ST-70-41C annex B, x^16 + x^12 + x^5 + 1, preset to ones;
- * crc16_ccitt of protocol/packets.py. By table, as flight software does it; bit by bit for comparison, as
+ * crc16_ccitt of protocol/pus/packets.py. By table, as flight software does it; bit by bit for comparison, as
  * where 512 bytes of table are too many. Whole numbers throughout. */
 #include "crc.h"
 

@@ -1,4 +1,4 @@
-/* A part of the captured image for the packet that downloads it: st_emulator/onboard/image_store.py, which
+/* A part of the captured image for the packet that downloads it: st_emulator/device/image_memory.py, which
  * keeps header and pixels as one string of bytes. Here the pixels stay in the frame buffer, where the camera
  * wrote them little-endian, and their bytes are swapped on the way out. A part may start within the header or
  * within a pixel, since the header has an odd length. */

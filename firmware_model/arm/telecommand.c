@@ -1,5 +1,5 @@
 /* Telecommands in: bytes of the line out of their SLIP frames (RFC 1055; protocol/framing.py's SlipDecoder)
- * and the checks of the packets' headers in the order of protocol/registry.py: lengths and
+ * and the checks of the packets' headers in the order of protocol/pus/registry.py: lengths and
  * error control first, for only then can the other fields be believed. Whole numbers throughout. */
 #include "telecommand.h"
 

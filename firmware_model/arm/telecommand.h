@@ -17,7 +17,7 @@ typedef struct {
 
 /* What came between two ENDs: a telecommand whose headers are right, or the reason why not. */
 typedef struct {
-    int32_t reason; /* 0, or the number of protocol/enumerations.py's MalformedReason */
+    int32_t reason; /* 0, or the number of protocol/pus/enumerations.py's MalformedReason */
     int32_t length; /* of the packet; of a frame thrown away its bytes on the line */
     uint32_t sequence_count;
     uint32_t ack;

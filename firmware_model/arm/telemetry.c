@@ -1,4 +1,4 @@
-/* Telemetry out: the packets that protocol/registry.py's encode_telemetry builds (CCSDS 133.0-B-2 4.1.3
+/* Telemetry out: the packets that protocol/pus/registry.py's encode_telemetry builds (CCSDS 133.0-B-2 4.1.3
  * primary header, ECSS-E-ST-70-41C 7.4.3.1 secondary header, packet error control) and their SLIP frames
  * (RFC 1055), protocol/framing.py. Fields are stored big-endian byte by byte: most lie at odd addresses.
  * Floats go out in single precision, rounded to nearest by the compiler's conversion. */

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from ..units.profile import NonNegative, Positive
-from ..units.validation import Section, parse_toml, read_text, validate
+from ..units.validation import Section, Switch, parse_toml, read_text, validate
 
 # UTC has whole leap seconds from 1972 on; the on-board time, four octets of seconds since 1958, ends in 2094.
 FIRST_START = datetime(1972, 1, 1, tzinfo=UTC)
@@ -128,10 +128,10 @@ Trajectory = Annotated[
 class Sky(Section):
     """What the sky holds besides the stars."""
 
-    aberration: bool = True
-    sun: bool = True
-    moon: bool = True
-    earth: bool = True
+    aberration: Switch = True
+    sun: Switch = True
+    moon: Switch = True
+    earth: Switch = True
     false_spots: Annotated[int, Field(ge=0, le=1000)] = 0
     false_spot_magnitudes: tuple[float, float] = (3.0, 6.0)
 

@@ -166,7 +166,7 @@ def run_unit(options: RunOptions) -> None:
         raise ConfigurationError(f"--node {options.node}: only with --link can:...; {link_text} has no nodes")
     profile = with_dialect(load_unit(options.unit), options.dialect)
     if live:
-        require_wire(profile, specification.kind == "can")
+        require_wire(profile, specification.kind == "can", by_option=options.dialect is not None)
     scenario = scenario_of(options, live)
     check_inputs(profile, scenario)
     duration_s = options.seconds if options.seconds is not None else scenario.duration_s

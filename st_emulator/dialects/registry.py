@@ -109,7 +109,7 @@ def settings_of(profile: UnitProfile) -> Section:
             if name not in dialect_names():
                 raise ConfigurationError(
                     f"{_where(profile)}: dialects.{name}: is not the name of the dialect that wire.dialect "
-                    f"chooses; allowed are {', '.join([definition.name, *dialect_names()])}"
+                    f"chooses; allowed are {', '.join(dict.fromkeys([definition.name, *dialect_names()]))}"
                 )
     settings: Section = validate(
         definition.settings,
@@ -119,21 +119,23 @@ def settings_of(profile: UnitProfile) -> Section:
     return settings
 
 
-def require_wire(profile: UnitProfile, can: bool) -> None:
+def require_wire(profile: UnitProfile, can: bool, *, by_option: bool = False) -> None:
     """Refuse a wire that the unit's dialect does not have; ``can``: a CAN bus, else a serial line.
+    ``by_option``: the dialect is that of ``--dialect``, not of the unit file, and errors say so.
 
     Raises:
         ConfigurationError: names the file, the key and what is allowed.
     """
     definition = dialect_of(profile)
+    where = "--dialect" if by_option else f"{_where(profile)}: wire.dialect"
     if can and definition.on_can is None:
         raise ConfigurationError(
-            f"{_where(profile)}: wire.dialect: {definition.name} has no CAN bus; allowed is a link that is a "
+            f"{where}: {definition.name} has no CAN bus; allowed is a link that is a "
             "serial line (pty, serial:DEV, none), or another dialect"
         )
     if not can and definition.on_serial is None:
         raise ConfigurationError(
-            f"{_where(profile)}: wire.dialect: {definition.name} has no serial line; allowed is a link that "
+            f"{where}: {definition.name} has no serial line; allowed is a link that "
             "is a CAN bus (can:INTERFACE/CHANNEL), or another dialect"
         )
 

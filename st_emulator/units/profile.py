@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 
 from ..errors import ConfigurationError
 from .can_section import CanSection
-from .validation import Section, parse_toml, read_text, validate
+from .validation import Section, Switch, parse_toml, read_text, validate
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -86,7 +86,7 @@ class Timing(Section):
     frame_period_ms: Annotated[int, Field(ge=10, le=10000)]
     exposure_ms: Annotated[float, Field(ge=0.1, le=250)]  # the range of parameter exposure_us
     readout_ms: Positive
-    pipelined: bool
+    pipelined: Switch
     boot_ms: Annotated[int, Field(ge=0, le=60000)]
     self_test_ms: Annotated[int, Field(ge=1, le=60000)]
     telecommand_latency_us: Annotated[int, Field(ge=0, le=1_000_000)]
@@ -178,7 +178,7 @@ class Wire(Section):
     apid: Annotated[int, Field(ge=1, le=2046)]
     source_id: Annotated[int, Field(ge=0, le=65535)]
     baud: Annotated[int, Field(ge=300, le=4_000_000)]
-    attitude_report: bool = True
+    attitude_report: Switch = True
     status_interval_ms: Annotated[int, Field(ge=0, le=3_600_000)] = 1000
     dialect: str = "pus"
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
 
 from ..errors import ConfigurationError
 
 MOST_SHOWN = 60  # characters of a wrong value
 Model = TypeVar("Model", bound="Section")
 Schema = dict[str, Any]
+Switch = Annotated[bool, Field(strict=True)]
+"""true or false: no text or number that could be taken for one of them."""
 
 
 class Section(BaseModel):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from datetime import UTC, datetime
 from pathlib import Path
@@ -90,6 +91,7 @@ def test_time_by_number_or_date_and_words_by_the_setting() -> None:
         ("set_camera", {"exposure_s": "long"}, "exposure_s"),
         ("set_subscription", {"telemetry_ids": [1]}, "telemetry_ids"),
         ("set_time", {}, "unix_us"),
+        ("set_time", {"time": "2026-01-15T00:00:00Z"}, "time"),
         ("set_time", {"utc": "yesterday"}, "utc"),
         ("set_time", {"utc": 5}, "utc"),
         ("set_time", {"utc": "0001-01-01T00:00:00+14:00"}, "utc"),
@@ -182,3 +184,19 @@ def test_the_document_is_fresh_and_says_everything() -> None:
     for name in SagittaSettings.model_fields:
         assert f"| `{name}`" in text
     assert text.count("ASSUMED") > 20
+
+
+def test_the_frames_of_the_document_are_those_of_the_other_end() -> None:
+    text = (ROOT / "docs" / "dialects" / "sagitta.md").read_text(encoding="utf-8")
+    shown = [bytes.fromhex(octets) for octets in re.findall(r"`(C0(?: [0-9A-F]{2})+)`", text)]
+    assert shown == [
+        client.framed(client.body(client.ACTION, client.BOOT, b"\x01")),
+        client.framed(client.body(client.ACTION_REPLY, client.BOOT, b"\x00")),
+        client.framed(client.body(client.READ, 9)),
+        client.framed(client.body(client.SET_REPLY, 9, b"\x00")),
+        client.framed(client.body(client.REQUEST, client.SOLUTION)),
+    ]
+    assert 0xDB in shown[2][1:-1], "the one that shows an escape"
+    for prefix in ("set_camera", "set_time", "boot"):
+        assert prefix in TELECOMMANDS
+    assert all(name.partition("_")[0] in ("set", "read", "request", "boot") for name in TELECOMMANDS)

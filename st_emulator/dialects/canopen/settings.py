@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from ...protocol.canopen.card import DEFAULT_NODE, OBC_NODE
-from ...units.validation import Section
+from ...units.validation import Section, Switch
 
 Node = Annotated[int, Field(ge=1, le=127)]
 
@@ -21,7 +21,7 @@ class CanopenSettings(Section):
     node: Node = Field(DEFAULT_NODE, description="number of the card; --node goes before it")
     obc_node: Node = Field(OBC_NODE, description="RPDO 1 is TPDO 1 of this node: identifier 180h + it")
     heartbeat_ms: Annotated[int, Field(ge=0, le=65_535)] = Field(1000, description="default of 1017h")
-    goes_operational: bool = Field(
+    goes_operational: Switch = Field(
         True, description="the card goes operational by itself behind its boot-up message; else it is told to"
     )
     boot_ms: Annotated[int, Field(ge=0, le=600_000)] = Field(
@@ -32,20 +32,20 @@ class CanopenSettings(Section):
     sdo_timeout_ms: Annotated[int, Field(ge=10, le=60_000)] = Field(
         1000, description="a transfer whose client says nothing for so long is aborted"
     )
-    ignores_bad_states: bool = Field(
+    ignores_bad_states: Switch = Field(
         True,
         description="quirk: a write of 4000h that asks for a state which cannot follow is acknowledged and "
         "ignored; else it is aborted",
     )
-    whole_seconds_since_midnight: bool = Field(
+    whole_seconds_since_midnight: Switch = Field(
         True,
         description="quirk: time_since_midnight holds whole seconds of Unix time; else milliseconds since "
         "midnight UTC",
     )
-    attitude_known_stays: bool = Field(
+    attitude_known_stays: Switch = Field(
         True, description="quirk: attitude_known stays 1 once an image was solved; else it follows the images"
     )
-    fixed_pdo_parameters: bool = Field(
+    fixed_pdo_parameters: Switch = Field(
         True,
         description="quirk: identifiers, transmission types and inhibit times of PDOs are constants, only "
         "the event timers of TPDOs can be written; else all of them",

@@ -112,6 +112,13 @@ configures, so it changes nothing. ASSUMED: status bit 0 says that the unit went
 stored parameters were damaged and factory values are in force; no source gives any bit a meaning.
 """
 
+SCENARIO = """\
+## Telecommands of a scenario
+
+Their names are those of the commands in the unit's layout; the one field is `payload`, 0 when it is left out.
+`raw_hex` is octets of the line. The unit looks for its attitude without any.
+"""
+
 
 def interface_document() -> str:
     """The whole document, Markdown."""
@@ -129,6 +136,7 @@ def interface_document() -> str:
         BEHAVIOUR.format(echo_us=COMMAND.octets * 10 / 115200 * 1e6, scale=SCALE, offset=OFFSET),
         *_quantised_values(),
         STATES,
+        SCENARIO,
         *_settings(),
     ]
     return "\n".join(parts).rstrip("\n") + "\n"

@@ -17,6 +17,8 @@ def encode_telecommand(settings: Nos3Settings, name: str, fields: Mapping[str, A
     Raises:
         LocalProtocolError: names what is wrong and what is allowed.
     """
+    layout = LAYOUTS[settings.layout]
+    encode_command(layout, name)  # the name first: fields of another command say nothing
     for field in fields:
         if field != "payload":
             raise LocalProtocolError(name, field, fields[field], "payload alone")
@@ -26,7 +28,7 @@ def encode_telecommand(settings: Nos3Settings, name: str, fields: Mapping[str, A
             payload = int(payload, 0)
         except ValueError:
             raise LocalProtocolError(name, "payload", payload, "a whole number") from None
-    return encode_command(LAYOUTS[settings.layout], name, payload)
+    return encode_command(layout, name, payload)
 
 
 class LineSender:

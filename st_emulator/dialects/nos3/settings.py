@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from ...units.validation import Section
+from ...units.validation import Section, Switch
 
 
 class Nos3Settings(Section):
@@ -18,14 +18,14 @@ class Nos3Settings(Section):
         ),
     ] = "code"
     enabled: Annotated[
-        bool,
+        Switch,
         Field(
             description="false: the unit is disabled, takes nothing and says nothing, and its counter is 0 "
             "(the simulator is told ENABLE and DISABLE beside the wire)"
         ),
     ] = True
     autonomous: Annotated[
-        bool,
+        Switch,
         Field(
             description="after boot the unit looks for its attitude by itself; the wire has no command for "
             "it, so that with false every attitude is invalid (unless parameter `autonomous_start` is set)"

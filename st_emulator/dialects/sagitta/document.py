@@ -6,6 +6,8 @@ from typing import Any
 
 from ...protocol.exporters.markdown import table
 from ...protocol.sagitta.document import message_chapters
+from ...protocol.sagitta.frames import MessageType, body_of, frame_of
+from ...protocol.sagitta.telemetry import ActionId, TelemetryId
 from .settings import SagittaSettings
 
 INTRODUCTION = """\
@@ -114,6 +116,47 @@ of the parameters (ASSUMED: those are one mission's for its own unit).
 """
 
 
+SCENARIO = """\
+## Telecommands of a scenario
+
+| Name | What is sent | Fields |
+|------|--------------|--------|
+| `set_NAME` | parameter NAME is set | those of its table; what is left out has its default |
+| `read_NAME` | parameter NAME is read | none |
+| `request_NAME` | telemetry NAME is requested | none |
+| `boot` | action boot | `region` |
+| `set_time` | action set time | `unix_us`, or `utc`: a date and time with its zone |
+
+NAME is that of the headings above, as in `set_camera` with `fields = { exposure_s = 0.1 }`. The unit starts
+in its boot loader (setting `boot_loader`): a scenario without `boot` sees no attitude. `raw_hex` is octets of
+the line with their framing.
+"""
+
+
+def _example() -> list[str]:
+    """Octets to check one's own hash and escapes by."""
+    camera = body_of(MessageType.SET_PARAMETER_REPLY, 9, b"\0")
+    frames = (
+        ("OBC", "action boot, region 1", body_of(MessageType.ACTION, ActionId.BOOT, b"\1")),
+        ("unit", "done", body_of(MessageType.ACTION_REPLY, ActionId.BOOT, b"\0")),
+        ("OBC", "read parameter 9; escaped", body_of(MessageType.READ_PARAMETER, 9)),
+        ("unit", "parameter 9 was set", camera),
+        (
+            "OBC",
+            "request the solution",
+            body_of(MessageType.REQUEST_TELEMETRY, TelemetryId.SOLUTION),
+        ),
+    )
+    rows = [(who, meaning, f"`{frame_of(body).hex(' ').upper()}`") for who, meaning, body in frames]
+    return [
+        "## Examples",
+        "",
+        "Whole frames, with the default address. `st-emulator demo --dialect sagitta` shows an exchange.",
+        "",
+        *table(("From", "Meaning", "On the line"), rows),
+    ]
+
+
 def _settings() -> list[str]:
     schema: dict[str, Any] = SagittaSettings.model_json_schema()
     rows = []
@@ -134,7 +177,9 @@ def interface_document() -> str:
     lines = [
         INTRODUCTION,
         *message_chapters(),
+        *_example(),
         BEHAVIOUR,
+        SCENARIO,
         "## Settings: quirks and what can be chosen",
         "",
         "In `[dialects.sagitta]`; defaults are as the real unit does it, as far as that is known.",

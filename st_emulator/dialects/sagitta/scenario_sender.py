@@ -54,6 +54,9 @@ def encode_telecommand(settings: SagittaSettings, name: str, fields: Mapping[str
 
 def _time_arguments(settings: SagittaSettings, layout: Layout, fields: Mapping[str, Any]) -> bytes:
     values = dict(fields)
+    for field in values:
+        if field not in ("utc", "unix_us"):
+            raise LocalProtocolError("set_time", field, values[field], "the fields utc or unix_us")
     if "utc" in values:
         moment = values.pop("utc")
         allowed = "a date and time with its zone, such as 2026-01-15T00:00:00Z"

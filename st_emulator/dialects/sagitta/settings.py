@@ -8,7 +8,7 @@ from pydantic import Field
 
 from ...protocol.sagitta.frames import ADDRESS
 from ...protocol.sagitta.parameters import SUBSCRIPTION_SLOTS
-from ...units.validation import Section
+from ...units.validation import Section, Switch
 
 RateHz = Annotated[float, Field(ge=0.01, le=50)]
 
@@ -25,7 +25,7 @@ class SagittaSettings(Section):
         ),
     ] = ADDRESS
     boot_loader: Annotated[
-        bool,
+        Switch,
         Field(
             description=(
                 "after power the boot loader runs, which waits for the action boot; false: the "
@@ -34,7 +34,7 @@ class SagittaSettings(Section):
         ),
     ] = True
     boot_loader_answers: Annotated[
-        bool,
+        Switch,
         Field(
             description=(
                 "the boot loader answers what it does not take with status 4. ASSUMED false: the "
@@ -43,7 +43,7 @@ class SagittaSettings(Section):
         ),
     ] = False
     autonomous: Annotated[
-        bool,
+        Switch,
         Field(
             description=(
                 "the program looks for the attitude by itself as soon as it runs. ASSUMED: no "
@@ -68,7 +68,7 @@ class SagittaSettings(Section):
         ),
     ] = "low_first"
     parameter_status: Annotated[
-        bool,
+        Switch,
         Field(
             description=(
                 "a reply 81 has a status in front of its arguments, like all other replies. The "
@@ -77,7 +77,7 @@ class SagittaSettings(Section):
         ),
     ] = False
     hash_checked: Annotated[
-        bool,
+        Switch,
         Field(
             description=(
                 "a request whose hash does not fit is thrown away; ASSUMED true (the known "
@@ -86,13 +86,13 @@ class SagittaSettings(Section):
         ),
     ] = True
     hold_quaternion: Annotated[
-        bool,
+        Switch,
         Field(
             description=("without attitude the last one is sent on, valid 0; false: 0,0,0,0"),
         ),
     ] = True
     validation: Annotated[
-        bool,
+        Switch,
         Field(
             description=("valid needs what parameter validation asks for; false: each solved frame is valid"),
         ),
