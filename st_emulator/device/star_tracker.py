@@ -118,6 +118,7 @@ class StarTracker:
         self._setting_time: Running | None = None
         self._acquiring: Running | None = None
         self._going_down = False
+        self._fault_in_boot: FaultCause | None = None
 
     def speak_through(self, speaker: Speaker) -> None:
         """Report to ``speaker`` from now on; before power comes on."""
@@ -156,6 +157,7 @@ class StarTracker:
     def _boot(self, event: ModeEvent, cause: ResetCause, begin: Callable[[], None] = lambda: None) -> None:
         self._life += 1
         self._going_down = False
+        self._fault_in_boot = None
         self._follow(event)
         begin()
         self.reset_cause = cause
@@ -184,7 +186,9 @@ class StarTracker:
         self._tell(
             reports.Booted(self.reset_cause, self.parameters.boot_count, self.parameters.fault_at_start)
         )
-        if self.parameters["autonomous_start"]:
+        if self._fault_in_boot is not None:
+            self.enter_fault(self._fault_in_boot)
+        elif self.parameters["autonomous_start"]:
             self.imaging.acquire()
             self._follow(ModeEvent.AUTONOMOUS_START)
 
@@ -244,8 +248,13 @@ class StarTracker:
         return self.mode in SILENT
 
     def enter_fault(self, cause: FaultCause) -> None:
-        """Stop in FAULT; nothing happens where the table does not lead there (FAULT, OFF)."""
+        """Stop in FAULT; nothing happens where the table does not lead there (FAULT, OFF). From BOOT when the
+        boot is over: nothing is sent or taken before.
+        """
         if transition(self.mode, ModeEvent.FAULT_DETECTED) is None:
+            return
+        if self.mode == Mode.BOOT:
+            self._fault_in_boot = self._fault_in_boot or cause
             return
         self.imaging.stop()
         self._health.reset()  # the self-test judges anew
