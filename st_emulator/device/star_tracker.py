@@ -454,8 +454,8 @@ class StarTracker:
             self._tell(reports.FrameOverran(record, self.imaging.budget_cycles(record.settings)))
         self._follow_frame(record)
         if result.valid and self._acquiring is not None:
-            self._acquiring.completed()
-            self._acquiring = None
+            acquiring, self._acquiring = self._acquiring, None  # who is told may give the next command
+            acquiring.completed()
         self._on_completed(record)
 
     def _follow_frame(self, record: FrameRecord) -> None:
