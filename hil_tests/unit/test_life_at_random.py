@@ -1,4 +1,4 @@
-"""Anything at any time: telecommands good and bad, faults, power, a watchdog. What an OBC can rely on all along.
+"""Anything at any time: telecommands good and bad, faults, power, a watchdog. What an OBC can rely on.
 
 Everything is judged from the packets on the line, read by the reference decoder, and from what the test did.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 from hil_tests.vectors import reference_decoder as wire
 from st_emulator.firmware_model.causes import FaultCause, ResetCause
 
-from .conftest import FUNCTION, MODE, Bench, Packet, make
+from .conftest import EVENT, FUNCTION, MODE, Bench, Packet, make
 from .test_faults_in_operation import Dead, with_sensor
 from .test_life import damaged
 
@@ -96,6 +97,12 @@ STEP = st.one_of(
 STEPS = st.lists(st.tuples(STEP, st.sampled_from(WAITS_MS)), min_size=1, max_size=30)
 
 
+def event_of(packet: Packet) -> int | None:
+    """The event that a packet reports, if it is an event report."""
+    event: int | None = packet.fields.get("event_id")
+    return event
+
+
 class Watched:
     """A bench that knows what was done to the unit, and when its lives began."""
 
@@ -154,7 +161,7 @@ class Watched:
         """The packets from each BOOT_COMPLETED to the next; nothing is sent before the first."""
         lives: list[list[Packet]] = []
         for packet in self.bench.packets:
-            if packet.decoded["service"] == 5 and packet.fields["event_id"] == 1:
+            if event_of(packet) == EVENT["BOOT_COMPLETED"]:
                 lives.append([])
             assert lives, f"{packet.name} before BOOT_COMPLETED"
             lives[-1].append(packet)
@@ -176,13 +183,13 @@ def check_modes(life: list[Packet]) -> None:
     """The mode that the events tell is the mode in housekeeping; each change begins where the last ended."""
     mode = MODE["STANDBY"]
     for packet in life:
-        if packet.decoded["service"] == 5 and packet.fields["event_id"] == 2:
+        if event_of(packet) == EVENT["MODE_CHANGED"]:
             change = packet.fields["data"]
             assert change["from_mode"] == mode
             mode = change["to_mode"]
         elif packet.name == "hk_report" and packet.fields["structure_id"] == 1:
             assert packet.fields["values"]["mode"] == mode
-        elif packet.decoded["service"] == 5 and packet.fields["event_id"] == 13:
+        elif event_of(packet) == EVENT["FAULT_ENTERED"]:
             assert mode == MODE["FAULT"], "FAULT_ENTERED comes behind its change of mode"
         elif packet.name == "attitude_report":
             assert mode in (MODE["LOST_IN_SPACE"], MODE["TRACKING"])
@@ -217,7 +224,7 @@ def check_verification(watched: Watched, life: list[Packet], ended: bool) -> Non
 def check_frames(watched: Watched) -> None:
     """Frame indices of attitude reports only grow while power is on, and lie on the frame grid."""
     beginnings = [*watched.power_ons_ns, 1 << 62]
-    for began_ns, until_ns in zip(beginnings, beginnings[1:], strict=False):
+    for began_ns, until_ns in pairwise(beginnings):
         reports = [
             packet
             for packet in watched.bench.packets
@@ -337,9 +344,7 @@ def repeat_a_frame(watched: Watched) -> None:
     second.fields["frame_index"] = first.fields["frame_index"]
 
 
-@pytest.mark.parametrize(
-    "spoil", [lose_an_end, end_twice, lose_a_packet, lie_about_the_mode, repeat_a_frame]
-)
+@pytest.mark.parametrize("spoil", [lose_an_end, end_twice, lose_a_packet, lie_about_the_mode, repeat_a_frame])
 def test_what_is_wrong_is_seen(spoil: Callable[[Watched], None]) -> None:
     watched = lived()
     spoil(watched)

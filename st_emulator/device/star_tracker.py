@@ -265,6 +265,11 @@ class StarTracker:
         self._follow(ModeEvent.FAULT_DETECTED)
         self._tell(reports.FaultEntered(cause))
 
+    def _found(self, fault: FaultCause | None) -> None:
+        """What a check in operation has found. A self-test finds it itself, and says all that it finds."""
+        if fault is not None and not self._going_down and not self.self_test.running:
+            self.enter_fault(fault)
+
     # -- commands
 
     def check(self, command: Command) -> None:
@@ -401,9 +406,7 @@ class StarTracker:
             if running is not None:
                 running.completed()
         self._tell(reports.FrameStarted(frame_index))
-        fault = self._health.frame_started(frame_index)
-        if fault is not None:
-            self.enter_fault(fault)
+        self._found(self._health.frame_started(frame_index))
 
     def frame_settings(self) -> FrameSettings:
         return self.parameters.frame_settings()
@@ -421,9 +424,7 @@ class StarTracker:
 
     def frame_exposed(self, record: FrameRecord) -> None:
         self._on_frame(record)
-        fault = self._health.frame_wanted(record.pixels is not None)
-        if fault is not None and not self._going_down:
-            self.enter_fault(fault)
+        self._found(self._health.frame_wanted(record.pixels is not None))
 
     def image_captured(self, record: FrameRecord) -> None:
         if self.self_test.running:
