@@ -315,10 +315,10 @@ class StarTracker:
                 self._setting_time = running
                 self.time.prepare(tai_ns, at_ns)
             case SetParameters(values):
-                self._parameters_stored(self.parameters.store(values))
+                self._tell(reports.ParametersStored(self.parameters.store(values)))
                 running.completed()
             case RestoreParameters():
-                self._parameters_stored(self.parameters.restore_defaults())
+                self._tell(reports.ParametersStored(self.parameters.restore_defaults()))
                 running.completed()
             case CaptureImage():
                 self.image_memory.capture(running)
@@ -350,9 +350,6 @@ class StarTracker:
         if running is not None:
             running.failed(failure)
             self.time.discard_pending()
-
-    def _parameters_stored(self, count: int) -> None:
-        self._tell(reports.ParametersStored(count))
 
     # -- self-test
 
