@@ -299,7 +299,7 @@ def test_a_unit_file_whose_figures_cannot_work_is_refused(
 
 
 def test_a_download_in_place_of_another_is_alone(bench: Bench) -> None:
-    """Room for the next part is looked for once at a time, however many downloads were aborted just before."""
+    """Room for the next part is looked for once at a time, however many were aborted just before."""
     bench.function("CAPTURE_IMAGE", ack=0)
     bench.run(600)
     built: list[int] = []

@@ -23,6 +23,7 @@ from .test_life import damaged
 
 BOOT_MS = 30
 PERIOD_MS = 250
+SELF_TEST_STEPS = 4
 ENDS = ("completion_success", "completion_failure")
 
 
@@ -98,8 +99,10 @@ LASTING = st.tuples(
         + [function("RESET", kind=0), function("SHUTDOWN"), function("GO_STANDBY")]
     ),
 )
+#: What is seldom come upon by chance: an image on its way, a self-test behind one that was given up.
+PRELUDE = st.tuples(st.sampled_from(["download", "self-test anew"]), st.none())
 HAPPENING = st.tuples(st.sampled_from(HAPPENINGS), st.none())
-STEP = st.one_of(TELECOMMAND, LASTING, LASTING, LASTING, HAPPENING)
+STEP = st.one_of(TELECOMMAND, LASTING, LASTING, PRELUDE, HAPPENING)
 STEPS = st.lists(st.tuples(STEP, st.sampled_from(WAITS_MS)), min_size=1, max_size=30)
 
 
@@ -133,6 +136,15 @@ class Watched:
             case "telecommand":
                 assert telecommand is not None
                 self.telecommand(*telecommand)
+            case "download":
+                self.telecommand(*function("CAPTURE_IMAGE"))
+                self.bench.run(600)
+                self.telecommand(*function("DOWNLOAD_IMAGE", **WHOLE))
+            case "self-test anew":
+                self.telecommand(*function("START_SELF_TEST"))
+                self.bench.run(200)
+                device.enter_fault(FaultCause.COMMANDED)
+                self.telecommand(*function("START_SELF_TEST"))
             case "power off":
                 self.cuts_ns.append(now_ns)
                 self.on = False
@@ -218,6 +230,8 @@ def check_verification(watched: Watched, life: list[Packet], ended: bool) -> Non
         assert "acceptance_failure" not in told
         assert told.count("acceptance_success") == 1
         assert told.count("start_success") <= 1
+        if told.count("progress") and fields.get("function_id") == FUNCTION["START_SELF_TEST"]:
+            assert told.count("progress") <= SELF_TEST_STEPS
         ends = [stage for stage in told if stage in ENDS]
         assert len(ends) <= 1
         if ends:
