@@ -298,7 +298,7 @@ def run(watched: Watched, steps: list[Any], cycle: bool) -> None:
     check(watched)
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=90, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(steps=STEPS, cycle=st.booleans())
 def test_whatever_happens_when(steps: list[Any], cycle: bool) -> None:
     run(Watched(), steps, cycle)
