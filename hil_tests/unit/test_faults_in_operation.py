@@ -176,3 +176,26 @@ def test_an_undamaged_unit_is_never_in_fault(bench: Bench) -> None:
     bench.to_mode("TRACKING")
     bench.run(5000)
     assert faults(bench) == []
+
+
+@pytest.mark.parametrize("later_ms", range(0, 2000, 250))
+def test_the_self_test_is_not_cut_short_by_what_it_is_there_to_find(bench: Bench, later_ms: int) -> None:
+    bench.send("memory_load", load(bytes(8), 0), ack=0)
+    bench.run_until(lambda: bool(faults(bench)))
+    bench.run(later_ms)
+    count = bench.function("START_SELF_TEST")
+    bench.run(900)
+    assert bench.failure(count) == ("completion_failure", 16, 64)
+    assert faults(bench) == [PROGRAM_DAMAGED, 1]
+    assert bench.housekeeping(1)["self_test_result"] == 64
+
+
+def test_a_dead_sensor_neither(bench: Bench) -> None:
+    with_sensor(bench, 0)
+    bench.function("START_ACQUISITION", ack=0)
+    bench.run(7 * 250)  # one frame fewer than what is a dead sensor
+    bench.function("GO_STANDBY", ack=0)
+    count = bench.function("START_SELF_TEST")
+    bench.run(900)
+    assert bench.failure(count) == ("completion_failure", 16, 16)
+    assert faults(bench) == [1]

@@ -296,3 +296,27 @@ def test_a_unit_file_whose_figures_cannot_work_is_refused(
     with pytest.raises(ConfigurationError, match=message) as caught:
         validate(UnitProfile, data, "my_unit.toml")
     assert str(caught.value).startswith(f"my_unit.toml: {table}")
+
+
+def test_a_download_in_place_of_another_is_alone(bench: Bench) -> None:
+    """Room for the next part is looked for once at a time, however many were aborted just before."""
+    bench.function("CAPTURE_IMAGE", ack=0)
+    bench.run(600)
+    built: list[int] = []
+    image = bench.emulator.dialect.image
+    send_parts = image._send_parts
+
+    def watched(*arguments: Any) -> None:
+        built.append(bench.emulator.now_ns)
+        send_parts(*arguments)
+
+    image._send_parts = watched
+    for _ in range(5):
+        bench.function("DOWNLOAD_IMAGE", {"transaction_id": 1, "first_part": 0, "parts": 0}, ack=0)
+        bench.function("ABORT_DOWNLOAD", ack=0)
+    bench.function("DOWNLOAD_IMAGE", {"transaction_id": 2, "first_part": 0, "parts": 0}, ack=0)
+    bench.run(3000)
+    built.clear()
+    bench.run(2000)
+    assert built
+    assert len(built) == len(set(built))

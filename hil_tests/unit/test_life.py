@@ -236,3 +236,22 @@ def test_a_watchdog_reset_at_once_loses_what_waits(bench: Bench) -> None:
     assert bench.of("memory_dump_report") == []
     assert len(bench.broken) == 1, "the one on the line is cut and costs no packet behind it"
     assert bench.events("BOOT_COMPLETED") == [{"boot_count": 2, "reset_cause": 3}]
+
+
+def test_a_fault_in_the_boot_is_told_when_the_boot_is_over(new_bench: MakeBench) -> None:
+    bench = new_bench(parameters={"autonomous_start": 1})
+    bench.run(100)
+    bench.emulator.device.enter_fault(FaultCause.COMMANDED)
+    bench.emulator.device.enter_fault(FaultCause.SENSOR_LOST)  # the first is told
+    bench.run(2000)
+    told = [packet.fields["event_id"] for packet in bench.packets if packet.decoded["service"] == 5]
+    assert told == [1, 2, 13], "BOOT_COMPLETED, MODE_CHANGED, FAULT_ENTERED"
+    assert bench.events("MODE_CHANGED") == [{"from_mode": 2, "to_mode": 5, "cause": 14}]
+    assert bench.events("FAULT_ENTERED") == [{"cause": int(FaultCause.COMMANDED)}]
+    assert bench.of("attitude_report") == [], "no autonomous start"
+    assert bench.housekeeping(1)["mode"] == MODE["FAULT"]
+    bench.forget()
+    bench.function("RESET", {"kind": 0}, ack=0)
+    bench.run(600)
+    assert bench.events("FAULT_ENTERED") == [], "it was of the boot before"
+    assert bench.emulator.device.mode != MODE["FAULT"]

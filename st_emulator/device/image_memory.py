@@ -67,13 +67,13 @@ class ImageMemory:
             record.index, record.pixels, record.exposure_ns, record.mid_exposure_ns, mid_exposure_tai_ns
         )
         self._tell(self.image)
-        if self._capture is not None:
-            self._capture.completed()
-            self._capture = None
+        capture, self._capture = self._capture, None  # who is told may ask for the next
+        if capture is not None:
+            capture.completed()
 
     def abort_capture(self) -> None:
         """The wanted frame will not come."""
-        if self._capture is not None:
+        capture, self._capture = self._capture, None
+        if capture is not None:
             self._imaging.cancel_capture()
-            self._capture.failed(Failure.ABORTED)
-            self._capture = None
+            capture.failed(Failure.ABORTED)

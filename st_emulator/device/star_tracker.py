@@ -118,6 +118,7 @@ class StarTracker:
         self._setting_time: Running | None = None
         self._acquiring: Running | None = None
         self._going_down = False
+        self._fault_in_boot: FaultCause | None = None
 
     def speak_through(self, speaker: Speaker) -> None:
         """Report to ``speaker`` from now on; before power comes on."""
@@ -156,6 +157,7 @@ class StarTracker:
     def _boot(self, event: ModeEvent, cause: ResetCause, begin: Callable[[], None] = lambda: None) -> None:
         self._life += 1
         self._going_down = False
+        self._fault_in_boot = None
         self._follow(event)
         begin()
         self.reset_cause = cause
@@ -184,7 +186,9 @@ class StarTracker:
         self._tell(
             reports.Booted(self.reset_cause, self.parameters.boot_count, self.parameters.fault_at_start)
         )
-        if self.parameters["autonomous_start"]:
+        if self._fault_in_boot is not None:
+            self.enter_fault(self._fault_in_boot)
+        elif self.parameters["autonomous_start"]:
             self.imaging.acquire()
             self._follow(ModeEvent.AUTONOMOUS_START)
 
@@ -244,8 +248,13 @@ class StarTracker:
         return self.mode in SILENT
 
     def enter_fault(self, cause: FaultCause) -> None:
-        """Stop in FAULT; nothing happens where the table does not lead there (FAULT, OFF)."""
+        """Stop in FAULT; nothing happens where the table does not lead there (FAULT, OFF). From BOOT when the
+        boot is over: nothing is sent or taken before.
+        """
         if transition(self.mode, ModeEvent.FAULT_DETECTED) is None:
+            return
+        if self.mode == Mode.BOOT:
+            self._fault_in_boot = self._fault_in_boot or cause
             return
         self.imaging.stop()
         self._health.reset()  # the self-test judges anew
@@ -255,6 +264,11 @@ class StarTracker:
         self._give_up_self_test()
         self._follow(ModeEvent.FAULT_DETECTED)
         self._tell(reports.FaultEntered(cause))
+
+    def _found(self, fault: FaultCause | None) -> None:
+        """What a check in operation has found. A self-test finds it itself, and says all that it finds."""
+        if fault is not None and not self._going_down and not self.self_test.running:
+            self.enter_fault(fault)
 
     # -- commands
 
@@ -301,10 +315,10 @@ class StarTracker:
                 self._setting_time = running
                 self.time.prepare(tai_ns, at_ns)
             case SetParameters(values):
-                self._parameters_stored(self.parameters.store(values))
+                self._tell(reports.ParametersStored(self.parameters.store(values)))
                 running.completed()
             case RestoreParameters():
-                self._parameters_stored(self.parameters.restore_defaults())
+                self._tell(reports.ParametersStored(self.parameters.restore_defaults()))
                 running.completed()
             case CaptureImage():
                 self.image_memory.capture(running)
@@ -336,9 +350,6 @@ class StarTracker:
         if running is not None:
             running.failed(failure)
             self.time.discard_pending()
-
-    def _parameters_stored(self, count: int) -> None:
-        self._tell(reports.ParametersStored(count))
 
     # -- self-test
 
@@ -392,9 +403,7 @@ class StarTracker:
             if running is not None:
                 running.completed()
         self._tell(reports.FrameStarted(frame_index))
-        fault = self._health.frame_started(frame_index)
-        if fault is not None:
-            self.enter_fault(fault)
+        self._found(self._health.frame_started(frame_index))
 
     def frame_settings(self) -> FrameSettings:
         return self.parameters.frame_settings()
@@ -412,9 +421,7 @@ class StarTracker:
 
     def frame_exposed(self, record: FrameRecord) -> None:
         self._on_frame(record)
-        fault = self._health.frame_wanted(record.pixels is not None)
-        if fault is not None and not self._going_down:
-            self.enter_fault(fault)
+        self._found(self._health.frame_wanted(record.pixels is not None))
 
     def image_captured(self, record: FrameRecord) -> None:
         if self.self_test.running:
@@ -445,8 +452,8 @@ class StarTracker:
             self._tell(reports.FrameOverran(record, self.imaging.budget_cycles(record.settings)))
         self._follow_frame(record)
         if result.valid and self._acquiring is not None:
-            self._acquiring.completed()
-            self._acquiring = None
+            acquiring, self._acquiring = self._acquiring, None  # who is told may give the next command
+            acquiring.completed()
         self._on_completed(record)
 
     def _follow_frame(self, record: FrameRecord) -> None:

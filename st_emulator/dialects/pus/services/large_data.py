@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from ....device.commands import Failure
@@ -90,7 +92,7 @@ class LargeData:
             self._first_part = self._next_part = first
             self._last_part = first + count - 1
             request.started()
-            self._send_parts()
+            self._send_parts(request)
 
         return execute
 
@@ -125,10 +127,9 @@ class LargeData:
         if tenth > (done - 1) * PROGRESS_STEPS // wanted and tenth < PROGRESS_STEPS:
             request.progressed(tenth)
 
-    def _send_parts(self) -> None:
-        request = self._download
-        if request is None:
-            return
+    def _send_parts(self, request: Request) -> None:
+        if request is not self._download:
+            return  # it was aborted
         port = self._port
         size = port.part_bytes
         while self._next_part <= self._last_part and port.queued_bytes < QUEUE_AHEAD_BYTES:
@@ -149,4 +150,4 @@ class LargeData:
             self._over()
             return
         excess = port.queued_bytes - QUEUE_AHEAD_BYTES + 1
-        self._device.later(max(port.drain_ns(excess), 1), self._send_parts)
+        self._device.later(max(port.drain_ns(excess), 1), partial(self._send_parts, request))
