@@ -199,3 +199,20 @@ def test_a_dead_sensor_neither(bench: Bench) -> None:
     bench.run(900)
     assert bench.failure(count) == ("completion_failure", 16, 16)
     assert faults(bench) == [1]
+
+
+def test_what_was_found_whole_is_not_looked_at_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hash over the whole catalogue each two seconds would slow every run down."""
+    memories = bench.emulator.device.memories
+    looks: list[int] = []
+    whole = memories.catalogue_is_whole
+    monkeypatch.setattr(memories, "catalogue_is_whole", lambda: looks.append(1) or whole())
+    bench.send("memory_load", load(b"abc", 0, memory=1), ack=0)
+    bench.run(2 * CHECKED_WITHIN_MS)
+    assert looks == [], "the patch area is nobody's"
+    bench.send("memory_load", load(dump(bench, 1000, 4)), ack=0)
+    bench.run(4 * CHECKED_WITHIN_MS)
+    assert looks == [1]
+    bench.send("memory_load", load(bytes(4)), ack=0)
+    bench.run(CHECKED_WITHIN_MS)
+    assert faults(bench) == [PROGRAM_DAMAGED]

@@ -65,3 +65,7 @@ def test_one_without_a_service_is_refused_and_the_unit_lives(
     count = bench.send("ping")
     bench.run(50)
     assert bench.stages(count)[-1] == "completion_success"
+
+
+def test_a_unit_serves_each_of_the_table(bench: Bench) -> None:
+    assert set(bench.emulator.dialect.receiver._served) == set(SERVED)

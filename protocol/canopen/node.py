@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
+from functools import partial
 from typing import Final
 
 from . import network_management as nmt
@@ -118,7 +119,7 @@ class CanopenNode:
         dictionary.on_read(ERROR_REGISTER, 0, lambda: errors.register)
         dictionary.on_read(ERROR_HISTORY, 0, errors.count)
         for number in range(1, HISTORY_ERRORS + 1):
-            dictionary.on_read(ERROR_HISTORY, number, lambda number=number: errors.past(number))  # type: ignore[misc]
+            dictionary.on_read(ERROR_HISTORY, number, partial(errors.past, number))
         dictionary.on_write(ERROR_HISTORY, 0, self._history_written)
         dictionary.on_write(SYNC_COB_ID, 0, self._sync_identifier_written)
         dictionary.on_write(SYNC_OVERFLOW, 0, self._sync_overflow_written)
@@ -127,11 +128,7 @@ class CanopenNode:
         for pdo in self.transmit_pdos:
             index = TRANSMIT_PARAMETERS + pdo.number - 1
             dictionary.on_write(index, TRANSMISSION_TYPE, self._transmission_type_written)
-            dictionary.on_write(
-                index,
-                EVENT_TIMER,
-                lambda value, at_ns, pdo=pdo: self._timer_written(pdo, at_ns),  # type: ignore[misc]
-            )
+            dictionary.on_write(index, EVENT_TIMER, partial(self._timer_written, pdo))
 
     # -- life
 
@@ -334,7 +331,7 @@ class CanopenNode:
         assert isinstance(value, int)
         return None if transmission_type_exists(value) else AbortCode.VALUE
 
-    def _timer_written(self, pdo: TransmitPdo, at_ns: int) -> AbortCode | None:
+    def _timer_written(self, pdo: TransmitPdo, value: Value, at_ns: int) -> AbortCode | None:
         """The new period begins now."""
         pdo.timer_from_ns = at_ns
         return None

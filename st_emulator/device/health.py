@@ -30,13 +30,7 @@ class Health:
 
     def frame_started(self, frame_index: int) -> FaultCause | None:
         """What the check that ends with this frame's start has found."""
-        if frame_index % self._check_frames or not self._memories.written:
-            return None
-        if not self._memories.program_is_whole():
-            return FaultCause.PROGRAM_DAMAGED
-        if not self._memories.catalogue_is_whole():
-            return FaultCause.CATALOGUE_DAMAGED
-        return None
+        return None if frame_index % self._check_frames else self._memories.damage()
 
     def frame_wanted(self, delivered: bool) -> FaultCause | None:
         """A frame was wanted from the sensor, and came or did not."""

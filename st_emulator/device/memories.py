@@ -11,6 +11,7 @@ import hashlib
 
 import numpy as np
 
+from ..firmware_model.causes import FaultCause
 from ..firmware_model.configuration import StarTables
 from .commands import LoadMemory, Refusal, RefusedError
 
@@ -38,7 +39,7 @@ class Memories:
         self.ram = bytearray(RAM_BYTES)
         self.program = bytearray(self._stored_program)
         self._tables = self._stored_tables
-        self._written = False
+        self._changed = False
 
     @property
     def tables(self) -> StarTables:
@@ -48,7 +49,7 @@ class Memories:
     def overwrite_tables(self, tables: StarTables) -> None:
         """Other octets stand where the catalogue was: the seam where its damage enters."""
         self._tables = tables
-        self._written = True
+        self._changed = True
 
     def _writable(self, memory: str) -> bytearray:
         match memory:
@@ -68,7 +69,7 @@ class Memories:
         """Write."""
         end = command.start + len(command.data)
         self._writable(command.memory)[command.start : end] = command.data
-        self._written = True
+        self._changed |= command.memory == "program"
 
     def ram_works(self) -> bool:
         """Write and read back two patterns, then restore the contents."""
@@ -90,10 +91,16 @@ class Memories:
             self._digest = digest_of(self._stored_tables)
         return digest_of(self._tables) == self._digest
 
-    @property
-    def written(self) -> bool:
-        """Whether anything was written since the start."""
-        return self._written
+    def damage(self) -> FaultCause | None:
+        """What is not as it was stored, None when all is whole; looked at again only after a writing."""
+        if not self._changed:
+            return None
+        if not self.program_is_whole():
+            return FaultCause.PROGRAM_DAMAGED
+        if not self.catalogue_is_whole():
+            return FaultCause.CATALOGUE_DAMAGED
+        self._changed = False
+        return None
 
 
 def digest_of(tables: StarTables) -> bytes:

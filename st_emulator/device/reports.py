@@ -6,7 +6,6 @@ Times are virtual nanoseconds (``_ns``) or on-board TAI nanoseconds since 1958 (
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from ..firmware_model.causes import FaultCause, ResetCause, SelfTest, StoreInvalidCause
 from ..firmware_model.modes import ModeTransition
@@ -173,10 +172,3 @@ Report = (
     | ParametersStored
     | CountersCleared
 )
-
-
-class Listener(Protocol):
-    """Who hears the device."""
-
-    def on(self, report: Report) -> None:
-        """Something happened, now."""

@@ -225,17 +225,14 @@ class StarTracker:
 
     # -- modes
 
-    def _follow(self, event: ModeEvent) -> bool:
+    def _follow(self, event: ModeEvent) -> None:
         """Change the mode as the table says, and tell; an event that the table does not know in this mode
-        changes nothing. False: it does not know it.
+        changes nothing.
         """
         row = transition(self.mode, event)
-        if row is None:
-            return False
-        if row.next_mode != self.mode:
+        if row is not None and row.next_mode != self.mode:
             self.mode = row.next_mode
             self._tell(reports.ModeChanged(row))
-        return True
 
     @property
     def listening(self) -> bool:

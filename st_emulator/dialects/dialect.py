@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from ..clock import VirtualClock
-from ..device.reports import Report
+from ..device.speaker import Speaker
 from ..device.star_tracker import StarTracker
-from ..firmware_model.work import Work
 from ..units.profile import UnitProfile
 from ..units.validation import Section
 from ..wire.can.bus import Disturbance
@@ -24,31 +23,20 @@ from ..wire.can.wiring import CanWiring
 SettingsT = TypeVar("SettingsT", bound=Section)
 
 
-class Dialect(Protocol):
+class Dialect(Speaker, Protocol):
     """One language on one wire, talking for one device.
 
     It is made before power comes on, once for a whole run: resets and power cycles come as reports. All its
     delays are events of virtual time, by ``device.later`` (void after a reset or when power goes) or by the
     wire's clock; two of the same time run in the order in which they were scheduled. It tells the device by
-    ``check`` and ``execute``, at one instant, and asks it; it sets nothing of it.
+    ``check`` and ``execute``, at one instant, and asks it; it sets nothing of it. What the device needs of it
+    is :class:`~st_emulator.device.speaker.Speaker`: ``on`` a report, ``take_work``, ``drain_ns``.
     """
 
     def arrive(self, data: bytes) -> None:
         """The link brought ``data`` at the present time: octets of a serial line or records of CAN frames
         (:mod:`st_emulator.protocol.can.frames`), cut and joined anyhow. Nothing in them raises; what comes
         while the device does not listen is lost."""
-
-    def on(self, report: Report) -> None:
-        """The device tells what happened, now. It may be asked and telemetry may be sent here; a command
-        waits behind what the device is in the middle of: ``device.later(0, ...)``."""
-
-    def take_work(self) -> Work:
-        """The processor's work for messages received and sent since the last call, counted by
-        :mod:`st_emulator.firmware_model.link_work`."""
-
-    def drain_ns(self) -> int:
-        """Time until what waits to be sent has left at the wire's full rate; 0 when nothing waits. The device
-        goes down when it is 0."""
 
     def where(self) -> str:
         """Where an OBC finds it, for people: rate and address, such as "115200 baud, APID 291"."""

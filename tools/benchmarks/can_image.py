@@ -37,7 +37,7 @@ def measure(unit: str) -> dict[str, Any]:
     rate = image_bytes / taken_ns
     others = [packet for _, packet in obc.packets[begun:] if packet.name not in PARTS]
     return {
-        "bitrate": obc.emulator.dialect.port.settings.bus.bitrate,  # type: ignore[attr-defined]
+        "bitrate": obc.bitrate,
         "image_bytes": image_bytes,
         "largest_packet_bytes": max(len(part.raw) for part in parts),
         "seconds": round(taken_ns / NS_PER_S, 3),

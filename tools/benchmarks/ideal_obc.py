@@ -50,6 +50,11 @@ class IdealObc:
         self.emulator = Emulator(self.profile, self.scenario, can=self.wiring, transmit=self._heard)
 
     @property
+    def bitrate(self) -> int:
+        """Of the bus, bit/s."""
+        return self._bus.bitrate
+
+    @property
     def now_ns(self) -> int:
         return self.emulator.now_ns
 

@@ -69,7 +69,9 @@ class StructLayout:
     def offset(self, member: str) -> int:
         """Byte at which a member begins. LayoutError: there is no such member."""
         self._require(member)
-        return int(self.dtype.fields[member][1])  # type: ignore[index]
+        fields = self.dtype.fields
+        assert fields is not None  # a struct's dtype has them
+        return int(fields[member][1])
 
     def items_bytes(self, member: str, count: int) -> int:
         """Size of ``count`` of what a pointer points to. LayoutError: it is no pointer to something."""

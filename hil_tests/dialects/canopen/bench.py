@@ -28,17 +28,22 @@ def unit(name: str = "roja1", **settings: Any) -> UnitProfile:
 
 @dataclass
 class Bench:
-    """``sent``: (time, identifier, data) of the unit's frames. ``refusing``: the link takes none."""
+    """``sent``: (time, identifier, data) of the unit's frames, of each of which ``hear`` is told as well.
+    ``refusing``: the link takes none.
+    """
 
     emulator: Emulator
     node: int = NODE
     sent: list[tuple[int, int, bytes]] = field(default_factory=list)
     refusing: bool = False
+    hear: Callable[[int, int, bytes], None] = lambda t_ns, identifier, payload: None
 
     def transmitted(self, data: bytes, t_ns: int) -> int:
         if self.refusing:
             return 0
-        self.sent += [(t_ns, identifier, payload) for identifier, payload in client.frames(data)]
+        for identifier, payload in client.frames(data):
+            self.sent.append((t_ns, identifier, payload))
+            self.hear(t_ns, identifier, payload)
         return len(data)
 
     @property

@@ -40,15 +40,10 @@ class Network(canopen.Network):
     def __init__(self, bench: Bench) -> None:
         super().__init__()
         self.bench = bench
-        transmitted = bench.transmitted
+        bench.hear = self._hear
 
-        def deliver(data: bytes, t_ns: int) -> int:
-            taken = transmitted(data, t_ns)
-            _, identifier, payload = bench.sent[-1]
-            self.notify(identifier, bytearray(payload), t_ns / 1e9)
-            return taken
-
-        bench.transmitted = deliver  # type: ignore[method-assign]
+    def _hear(self, t_ns: int, identifier: int, payload: bytes) -> None:
+        self.notify(identifier, bytearray(payload), t_ns / 1e9)
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         self.bench.put(can_id, bytes(data), remote=remote)

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from hil_tests.dialects.canopen.bench import make, unit
 from hil_tests.dialects.canopen.client import STATES
+from hil_tests.dialects.demo_session import Session
 from st_emulator.bench.journal import read_journal
 from st_emulator.bench.scenario import Scenario, ScenarioTelecommand
 from st_emulator.bench.scenario_inputs import check_inputs
@@ -106,59 +107,19 @@ def test_settings_that_cannot_be(wrong):
         settings_of(unit(**wrong))
 
 
-class Session:
-    """What the demo gives to an exchange."""
-
-    def __init__(self, name: str) -> None:
-        self.bench = make(name)
-        self.profile = self.bench.emulator.profile
-        self.records: list[tuple[int, bytes]] = []
-        self.said: list[str] = []
-        self.checks: dict[str, bool] = {}
-        transmitted = self.bench.transmitted
-
-        def keep(data: bytes, t_ns: int) -> int:
-            self.records.append((t_ns, data))
-            return transmitted(data, t_ns)
-
-        self.bench.transmitted = keep  # type: ignore[method-assign]
-
-    @property
-    def now_ns(self) -> int:
-        return self.bench.emulator.now_ns
-
-    def put(self, data: bytes) -> None:
-        self.bench.emulator.receive(data)
-
-    def run(self, ms: float) -> list[tuple[int, bytes]]:
-        self.bench.run(ms)
-        found, self.records = self.records, []
-        return found
-
-    def true_quaternion(self, t_ns: int) -> tuple[float, ...]:
-        return tuple(float(part) for part in self.bench.emulator.scene.trajectory.q_icrs_to_sensor(t_ns))
-
-    def say(self, text: str) -> None:
-        self.said.append(text)
-
-    def check(self, name: str, value: float, relation: str, target: float, unit: str) -> None:
-        holds = {"==": value == target, "<=": value <= target, ">=": value >= target}
-        self.checks[name] = holds[relation]
-
-
 @pytest.mark.parametrize("name", ["roja1", "zy3"])
 def test_the_exchange_of_the_demo(name):
-    session = Session(name)
+    session = Session(unit(name), can=CanWiring())
     CANOPEN.exchange(session)
     assert len(session.checks) == 8
     assert all(session.checks.values()), session.checks
     assert len(session.said) > 10
-    assert session.bench.emulator.dialect.card.state == STATES["STANDBY"]
+    assert session.emulator.dialect.card.state == STATES["STANDBY"]
 
 
 def test_the_exchange_notices_a_unit_that_says_nothing():
-    session = Session("roja1")
-    session.bench.emulator.device.power_off()
+    session = Session(unit(), can=CanWiring())
+    session.emulator.device.power_off()
     CANOPEN.exchange(session)
     assert not session.checks["boot-up messages"]
     assert not session.checks["image is a PNG"]

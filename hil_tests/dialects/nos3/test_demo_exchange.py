@@ -2,57 +2,16 @@
 
 from __future__ import annotations
 
-import operator
-from dataclasses import dataclass, field
-
 import pytest
 
-from hil_tests.dialects.nos3.bench import Bench, make, sky, unit
+from hil_tests.dialects.demo_session import Session
+from hil_tests.dialects.nos3.bench import sky, unit
 from st_emulator.dialects.nos3.definition import NOS3
 from st_emulator.units.profile import UnitProfile
 
-RELATIONS = {"==": operator.eq, "<=": operator.le, ">=": operator.ge}
-
-
-@dataclass
-class Session:
-    """The contract's session, on a bench."""
-
-    bench: Bench
-    turned: bool = False
-    said: list[str] = field(default_factory=list)
-    checks: dict[str, bool] = field(default_factory=dict)
-
-    @property
-    def profile(self) -> UnitProfile:
-        return self.bench.emulator.profile
-
-    @property
-    def now_ns(self) -> int:
-        return self.bench.now_ns
-
-    def put(self, data: bytes) -> None:
-        self.bench.put(data)
-
-    def run(self, ms: float) -> list[tuple[int, bytes]]:
-        self.bench.groups.clear()
-        self.bench.run(ms)
-        return list(self.bench.groups)
-
-    def true_quaternion(self, t_ns: int) -> tuple[float, float, float, float]:
-        x, y, z, w = (float(value) for value in self.bench.truth(t_ns))
-        return (w, x, y, z) if self.turned else (x, y, z, w)
-
-    def say(self, text: str) -> None:
-        self.said.append(text)
-
-    def check(self, name: str, value: float, relation: str, target: float, unit: str) -> None:
-        assert name not in self.checks
-        self.checks[name] = RELATIONS[relation](value, target)
-
 
 def played(profile: UnitProfile, turned: bool = False) -> Session:
-    session = Session(make(profile, scenario=sky()), turned)
+    session = Session(profile, turned=turned, scenario=sky())
     assert NOS3.exchange is not None
     NOS3.exchange(session)
     return session

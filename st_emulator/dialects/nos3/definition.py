@@ -9,10 +9,11 @@ from ...device.star_tracker import StarTracker
 from ...units.profile import UnitProfile
 from ...wire.can.wiring import CanWiring
 from ..dialect import DialectDefinition, ScenarioSender, SerialWire
+from ..line_sender import LineSender
 from .dialect import Nos3Dialect
 from .document import interface_document
 from .exchange import exchange
-from .scenario_sender import LineSender, encode_telecommand
+from .scenario_sender import encode_telecommand
 from .settings import Nos3Settings
 
 

@@ -1,4 +1,4 @@
-"""The OBC that a scenario's telecommands stand for."""
+"""A scenario's telecommands by the names of the commands."""
 
 from __future__ import annotations
 
@@ -29,26 +29,3 @@ def encode_telecommand(settings: Nos3Settings, name: str, fields: Mapping[str, A
         except ValueError:
             raise LocalProtocolError(name, "payload", payload, "a whole number") from None
     return encode_command(layout, name, payload)
-
-
-class LineSender:
-    """Puts commands and raw octets onto the line as they are, each in one write."""
-
-    def __init__(self) -> None:
-        self._outbox: list[bytes] = []
-
-    def send(self, message: bytes, now_ns: int) -> None:
-        self._outbox.append(message)
-
-    def send_raw(self, octets: bytes, now_ns: int) -> None:
-        self._outbox.append(octets)
-
-    def take(self, data: bytes, now_ns: int) -> None:
-        pass
-
-    def poll(self, now_ns: int) -> list[bytes]:
-        due, self._outbox = self._outbox, []
-        return due
-
-    def next_ns(self) -> int | None:
-        return None

@@ -7,13 +7,15 @@ from typing import Any
 
 from ...device.star_tracker import StarTracker
 from ...naming import resolve_fields
+from ...protocol.framing import slip_encode
 from ...protocol.pus.registry import encode_telecommand
 from ...units.profile import UnitProfile
 from ...units.validation import Section
 from ...wire.can.wiring import CanWiring
 from ..dialect import CanWire, DialectDefinition, ScenarioSender, SerialWire
+from ..line_sender import LineSender
 from .dialect import PusDialect
-from .scenario_sender import SCENARIO_SOURCE_ID, CanSender, LineSender
+from .scenario_sender import SCENARIO_SOURCE_ID, CanSender
 
 
 class PusSettings(Section):
@@ -41,7 +43,7 @@ def _encode(
 
 
 def _sender(profile: UnitProfile, settings: PusSettings, wiring: CanWiring | None) -> ScenarioSender:
-    return LineSender() if wiring is None else CanSender(wiring.port_settings(profile.can))
+    return LineSender(slip_encode) if wiring is None else CanSender(wiring.port_settings(profile.can))
 
 
 PUS = DialectDefinition(

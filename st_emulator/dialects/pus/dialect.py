@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 from ...clock import NS_PER_US
 from ...device import reports
 from ...device.star_tracker import StarTracker
-from ...firmware_model.causes import ResetCause
 from ...firmware_model.link_work import line_work, round_work, telecommand_work
 from ...firmware_model.work import Work
 from ...protocol.pus.enumerations import HousekeepingId, MalformedReason
@@ -19,13 +18,15 @@ from ...wire.port import PortClient, UnitPort
 from ...wire.slip_port import SlipPort
 from ..dialect import CanWire, SerialWire
 from .cyclic import CyclicFrames
-from .reception import Receiver
+from .reception import RaiseEvent, Receiver
 from .services import connection_test, events, functions, housekeeping, memory, parameters, time_management
 from .services.attitude import attitude_fields
 from .services.large_data import LargeData
 from .serving import Served
 from .structures import link_values, no_bus_values, status_values, timing_values
 from .transmission import Transmitter
+
+PortT = TypeVar("PortT", bound=UnitPort)
 
 #: Every telecommand of the language: how it is served. A test holds it equal to the registry.
 SERVED: Mapping[str, Served[Any]] = {
@@ -47,25 +48,27 @@ class PusDialect:
     Args:
         device: the device.
         make_port: makes the port, which tells this dialect what comes in.
-        make_cyclic: makes what a CAN port has beside packets, of (device, how to raise an event).
+        make_cyclic: makes what a CAN port has beside packets; None on a serial line.
     """
 
     def __init__(
         self,
         device: StarTracker,
-        make_port: Callable[[PortClient], UnitPort],
-        make_cyclic: Callable[[StarTracker, events.Events], CyclicFrames] | None = None,
+        make_port: Callable[[PortClient], PortT],
+        make_cyclic: Callable[[StarTracker, PortT, RaiseEvent], CyclicFrames] | None = None,
     ) -> None:
         self.device = device
-        self.port = make_port(self)
+        port = make_port(self)
+        self.port: UnitPort = port
         wire = device.profile.wire
         self.transmitter = Transmitter(device, self.port, wire.apid, wire.source_id)
         send = self.transmitter.send
         self.events = events.Events(send)
+        raise_event = self.events.raise_event
         self.transmitter.on_lost = self.events.packets_lost
-        self.receiver = Receiver(device, send, self.events.raise_event, wire.apid)
-        self.cyclic = None if make_cyclic is None else make_cyclic(device, self.events)
-        self.image = LargeData(device, self.port, self.transmitter, self.events.raise_event)
+        self.receiver = Receiver(device, send, raise_event, wire.apid)
+        self.cyclic = None if make_cyclic is None else make_cyclic(device, port, raise_event)
+        self.image = LargeData(device, self.port, self.transmitter, raise_event)
         self.time = time_management.TimeManagement(device, send)
         self.housekeeping = housekeeping.Housekeeping(
             device,
@@ -89,29 +92,24 @@ class PusDialect:
         serve(parameters.ParameterManagement(device), parameters.SERVED)
         self._reception = Work()  # not yet in the work of a frame
 
-    @classmethod
-    def on_serial(cls, device: StarTracker, wire: SerialWire) -> PusDialect:
+    @staticmethod
+    def on_serial(device: StarTracker, wire: SerialWire) -> PusDialect:
         """On a serial line."""
 
-        def port(client: PortClient) -> UnitPort:
+        def port(client: PortClient) -> SlipPort:
             return SlipPort(wire.clock, wire.baud, wire.transmit, client, pace_reception=wire.pace_reception)
 
-        return cls(device, port)
+        return PusDialect(device, port)
 
-    @classmethod
-    def on_can(cls, device: StarTracker, wire: CanWire) -> PusDialect:
+    @staticmethod
+    def on_can(device: StarTracker, wire: CanWire) -> PusDialect:
         """On a CAN bus, with cyclic frames beside the packets."""
         settings = wire.wiring.port_settings(device.profile.can)
-        made: list[CanPort] = []
 
-        def port(client: PortClient) -> UnitPort:
-            made.append(CanPort(wire.clock, settings, wire.transmit, client, wire.disturbance))
-            return made[0]
+        def port(client: PortClient) -> CanPort:
+            return CanPort(wire.clock, settings, wire.transmit, client, wire.disturbance)
 
-        def cyclic(device: StarTracker, of: events.Events) -> CyclicFrames:
-            return CyclicFrames(device, made[0], of.raise_event)
-
-        return cls(device, port, cyclic)
+        return PusDialect(device, port, CyclicFrames)
 
     # -- Dialect
 
@@ -138,8 +136,8 @@ class PusDialect:
 
     def on(self, report: reports.Report) -> None:
         match report:
-            case reports.Restarted(cause):
-                self._restart(cause)
+            case reports.Restarted():
+                self._restart()
             case reports.Booted():
                 self._booted(report)
             case reports.GoingDown():
@@ -162,7 +160,7 @@ class PusDialect:
             case _:
                 self.events.report(report)
 
-    def _restart(self, cause: ResetCause) -> None:
+    def _restart(self) -> None:
         self.transmitter.reset()
         self.receiver.reset()
         self.events.reset()

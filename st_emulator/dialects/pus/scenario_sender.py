@@ -1,4 +1,4 @@
-"""The OBC that a scenario's telecommands stand for, on the unit's own wire."""
+"""The OBC that a scenario's telecommands stand for on a CAN bus."""
 
 from __future__ import annotations
 
@@ -9,36 +9,13 @@ from ...clock import NS_PER_MS
 from ...protocol.can.frames import RecordDecoder, encode_record
 from ...protocol.can.transfer import FLOW_CONTROL, frame_kind
 from ...protocol.can.transport import IsoTpConnection
-from ...protocol.framing import END, FrameReceived, SlipDecoder, slip_encode
+from ...protocol.framing import END, FrameReceived, SlipDecoder
 from ...wire.can.port import CanPortSettings
 
 # ASSUMED: a unit that listens answers a first frame at once; one in BOOT must not hold up the next
 # telecommand.
 PATIENCE_NS = 100 * NS_PER_MS
 SCENARIO_SOURCE_ID = 0x5C  # the source of a scenario's own telecommands, apart from any OBC's
-
-
-class LineSender:
-    """On a serial line: each packet in a SLIP frame, raw octets as they are."""
-
-    def __init__(self) -> None:
-        self._outbox: list[bytes] = []
-
-    def send(self, message: bytes, now_ns: int) -> None:
-        self._outbox.append(slip_encode(message))
-
-    def send_raw(self, octets: bytes, now_ns: int) -> None:
-        self._outbox.append(octets)
-
-    def take(self, data: bytes, now_ns: int) -> None:
-        pass
-
-    def poll(self, now_ns: int) -> list[bytes]:
-        due, self._outbox = self._outbox, []
-        return due
-
-    def next_ns(self) -> int | None:
-        return None
 
 
 class CanSender:

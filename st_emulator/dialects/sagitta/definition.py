@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from ...device.star_tracker import StarTracker
+from ...protocol.sagitta.frames import frame_of
 from ...units.profile import UnitProfile
 from ...wire.can.wiring import CanWiring
 from ..dialect import DialectDefinition, ScenarioSender, SerialWire
+from ..line_sender import LineSender
 from .dialect import SagittaDialect
 from .document import interface_document
 from .exchange import exchange
-from .scenario_sender import SagittaSender, encode_telecommand
+from .scenario_sender import encode_telecommand
 from .settings import SagittaSettings
 
 
@@ -27,7 +29,7 @@ def _encode(
 
 
 def _sender(profile: UnitProfile, settings: SagittaSettings, wiring: CanWiring | None) -> ScenarioSender:
-    return SagittaSender()
+    return LineSender(frame_of)
 
 
 SAGITTA = DialectDefinition(

@@ -1,4 +1,4 @@
-"""A scenario's telecommands: by the names of the messages, and the OBC that puts them on the line."""
+"""A scenario's telecommands by the names of the messages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any
 
 from ...protocol.errors import LocalProtocolError
-from ...protocol.sagitta.frames import MessageType, Request, frame_of, request_body
+from ...protocol.sagitta.frames import MessageType, Request, request_body
 from ...protocol.sagitta.layout import Kind, Layout
 from ...protocol.sagitta.parameters import PARAMETER_TABLE
 from ...protocol.sagitta.telemetry import ACTION_TABLE, TELEMETRY_TABLE, ActionId
@@ -72,26 +72,3 @@ def _time_arguments(settings: SagittaSettings, layout: Layout, fields: Mapping[s
     if settings.set_time_words == "high_first":
         arguments = struct.pack("<2I", *reversed(struct.unpack("<2I", arguments)))
     return arguments
-
-
-class SagittaSender:
-    """The OBC of a scenario: it sends and does not listen."""
-
-    def __init__(self) -> None:
-        self._outbox: list[bytes] = []
-
-    def send(self, message: bytes, now_ns: int) -> None:
-        self._outbox.append(frame_of(message))
-
-    def send_raw(self, octets: bytes, now_ns: int) -> None:
-        self._outbox.append(octets)
-
-    def take(self, data: bytes, now_ns: int) -> None:
-        pass
-
-    def poll(self, now_ns: int) -> list[bytes]:
-        due, self._outbox = self._outbox, []
-        return due
-
-    def next_ns(self) -> int | None:
-        return None

@@ -7,6 +7,7 @@ from typing import Any
 
 from st_emulator.device.star_tracker import StarTracker
 from st_emulator.dialects.dialect import DialectDefinition, ScenarioSender, SerialWire
+from st_emulator.dialects.line_sender import LineSender
 from st_emulator.protocol.errors import LocalProtocolError
 from st_emulator.units.profile import UnitProfile
 from st_emulator.wire.can.wiring import CanWiring
@@ -14,7 +15,6 @@ from st_emulator.wire.can.wiring import CanWiring
 from .dialect import Kst9
 from .exchange import exchange
 from .messages import COMMANDS, LONGEST_BODY, encode
-from .scenario_sender import LineSender
 from .settings import Kst9Settings
 
 
