@@ -9,8 +9,8 @@ from st_emulator.units.profile import UnitProfile
 
 
 class Session:
-    """A :class:`~st_emulator.dialects.dialect.DemoSession` with a fresh unit; ``checks``: by name, whether each
-    always held.
+    """A :class:`~st_emulator.dialects.dialect.DemoSession` with a fresh unit; ``checks``: by name, whether
+    each always held.
 
     Args:
         profile: the unit.
