@@ -27,6 +27,7 @@ def test_off_at_once_and_silent(bench: Bench) -> None:
     bench.run(2000)
     assert len(bench.groups) - sent <= 1, "what the UART holds is on the line"
     assert bench.packets == []
+    assert bench.emulator.next_event_ns() is None, "no frame is exposed either: nothing goes on"
 
 
 def test_the_frame_grid_begins_anew_with_power_and_there_is_one(new_bench: MakeBench) -> None:

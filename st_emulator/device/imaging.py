@@ -156,8 +156,7 @@ class Imaging:
     # ------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begin the frame grid at the present time (power-on); the one before is over."""
-        self.halt()
+        """Begin the frame grid at the present time (power-on); the one before was halted."""
         self._tick_at(self._clock.now_ns, 0)
 
     def halt(self) -> None:
