@@ -26,6 +26,7 @@ from ..links import Link
 POLL_S = 0.02  # for links that cannot be waited for
 LONGEST_WAIT_S = 0.5
 HELD_UP_NS = 20_000_000  # later than this after what was due: the computer did not let the loop run
+CATCH_UP = 1.25  # ASSUMED: little enough that who answers in time at the unit's own pace still does
 SWITCH_INTERVAL_S = 0.0005  # the worker gives way to the loop this soon
 LOOP_PRIORITY = 1  # the least of the real-time priorities
 
@@ -131,14 +132,47 @@ def behind_the_loop() -> None:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def held_up(emulator: Emulator, now_ns: int) -> bool:
-    """Whether the computer did not let the loop run when something was due.
+class Pace:
+    """Virtual time by the computer's clock: ``speed`` times as fast.
 
-    What came meanwhile came nobody knows when. It counts before what was due: a timeout of the unit must not
-    pass while its answer waits in the link.
+    When the computer did not let the loop run, what was due then comes late, but one after the other at
+    ``CATCH_UP`` times the pace until the delay is made up. At once it would be a burst that no line carries,
+    and timeouts of the unit would pass before anybody could have answered what it has just sent.
     """
-    due_ns = emulator.next_event_ns()
-    return due_ns is not None and now_ns - due_ns > HELD_UP_NS
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._origin_ns = time.monotonic_ns()
+        self._from_ns: int | None = None  # the computer's clock where catching up began
+        self._reached_ns = 0  # virtual, there
+
+    def now_ns(self) -> int:
+        """Virtual time."""
+        wall_ns = time.monotonic_ns()
+        now_ns = int((wall_ns - self._origin_ns) * self._speed)
+        if self._from_ns is not None:
+            late_ns = self._reached_ns + int((wall_ns - self._from_ns) * self._speed * CATCH_UP)
+            if late_ns < now_ns:
+                return late_ns
+            self._from_ns = None
+        return now_ns
+
+    def wait_s(self, due_ns: int) -> float:
+        """How long it takes until ``due_ns``."""
+        pace = self._speed if self._from_ns is None else self._speed * CATCH_UP
+        return (due_ns - self.now_ns()) / pace / NS_PER_S
+
+    def held_up(self, emulator: Emulator) -> bool:
+        """Whether the computer did not let the loop run when something was due; if so, catch up from there.
+
+        What came meanwhile came nobody knows when. It counts before what was due: a timeout of the unit must
+        not pass while its answer waits in the link.
+        """
+        due_ns = emulator.next_event_ns()
+        if due_ns is None or self.now_ns() - due_ns <= HELD_UP_NS * max(1.0, self._speed):
+            return False
+        self._from_ns, self._reached_ns = time.monotonic_ns(), max(due_ns, emulator.now_ns)
+        return True
 
 
 def run_paced(
@@ -155,19 +189,15 @@ def run_paced(
     ``on_wait`` is called about twice a second when nothing is due (progress, flushing of files).
     """
     descriptor = link.fileno()
-    origin_ns = time.monotonic_ns()
-    last_wait_ns = origin_ns
-
-    def virtual_now_ns() -> int:
-        return int((time.monotonic_ns() - origin_ns) * speed)
-
+    pace = Pace(speed)
+    last_wait_ns = time.monotonic_ns()
     # Only where somebody listens in real time: the loop then sleeps nearly always.
     priority = ahead_of_others() if speed == 1 and descriptor is not None else contextlib.nullcontext()
     with quick_switching(), priority:
         while not stop.stopped:
-            now_ns = virtual_now_ns()
-            if held_up(emulator, now_ns) and (data := link.read()):
+            if pace.held_up(emulator) and (data := link.read()):
                 emulator.receive(data)
+            now_ns = pace.now_ns()
             if until_ns is not None and now_ns >= until_ns:
                 emulator.advance(until_ns)
                 break
@@ -176,7 +206,7 @@ def run_paced(
             if until_ns is not None:
                 due_ns = until_ns if due_ns is None else min(due_ns, until_ns)
             wall_ns = time.monotonic_ns()
-            wait_s = LONGEST_WAIT_S if due_ns is None else (due_ns - virtual_now_ns()) / speed / NS_PER_S
+            wait_s = LONGEST_WAIT_S if due_ns is None else pace.wait_s(due_ns)
             if wall_ns - last_wait_ns > NS_PER_S // 2 and wait_s > 0.002:
                 last_wait_ns = wall_ns
                 on_wait()
@@ -187,10 +217,9 @@ def run_paced(
             if descriptor is None or descriptor in ready:
                 data = link.read()
                 if data:
-                    now_ns = virtual_now_ns()
-                    if not held_up(emulator, now_ns):
+                    if not pace.held_up(emulator):
                         # Everything due before the bytes came is done before they count.
-                        emulator.advance(now_ns)
+                        emulator.advance(pace.now_ns())
                     emulator.receive(data)
 
 

@@ -12,7 +12,7 @@ from ...firmware_model.image.frame import Frame
 from ...protocol.canopen import card
 from ...protocol.canopen.dictionary import Dictionary
 from .card_time import unix_us_at
-from .images import display_image, passes, raw_image
+from .images import display_image, load_encoder, passes, raw_image
 
 US_PER_S = 1_000_000
 MOST_SECONDS = 0xFFFF_FFFF_FFFF_FFFF
@@ -30,6 +30,7 @@ class Capture:
         self.active = False
         self._run = 0  # counts captures; what was scheduled for an earlier one is void
         self._last: Frame | None = None
+        load_encoder()
         dictionary.on_read(card.CAPTURE, card.LAST_CAPTURE, self._raw)
         dictionary.on_read(card.CAPTURE, card.LAST_DISPLAY_IMAGE, self._display)
 

@@ -13,6 +13,16 @@ from ...protocol.canopen.card import DISPLAY_COLUMNS, DISPLAY_ROWS
 BITS = 8
 
 
+def load_encoder() -> None:
+    """Load what :func:`display_image` needs: at the first picture it would hold the whole unit up.
+
+    Not with this module, for it is imported with every dialect's table.
+    """
+    from PIL import Image
+
+    Image.preinit()
+
+
 def upper_bits(frame: Frame) -> NDArray[np.uint8]:
     """The upper 8 bits of each pixel, ``uint8[rows, columns]``. ASSUMED: the card's camera has 8 bits."""
     return (frame.full() >> (frame.bits - BITS)).astype(np.uint8)
@@ -31,7 +41,7 @@ def display_image(frame: Frame) -> bytes:
 
     ASSUMED: reduced by averaging, as no method is documented.
     """
-    from PIL import Image  # here, for a unit that nobody asks for pictures need not load it
+    from PIL import Image
 
     image = Image.fromarray(upper_bits(frame))
     factor = min(DISPLAY_COLUMNS / image.width, DISPLAY_ROWS / image.height, 1.0)
