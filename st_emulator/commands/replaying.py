@@ -85,11 +85,14 @@ def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
 def feed(emulator: Emulator, journal: Journal, until_ns: int | None = None) -> None:
     """Give the received bytes at their times, and run to the journal's end (or ``until_ns``)."""
     end_ns = journal.end_ns if until_ns is None else until_ns
-    for entry in journal.entries:
-        if entry.direction != "rx" or entry.t_ns > end_ns:
+    for one in journal.inputs:
+        if one.t_ns > end_ns:
             continue
-        emulator.advance(entry.t_ns)
-        emulator.receive(entry.data)
+        emulator.advance(one.t_ns)
+        if isinstance(one, JournalEntry):
+            emulator.receive(one.data)
+        else:
+            emulator.do(one.what, one.content)
     emulator.advance(end_ns)
 
 
