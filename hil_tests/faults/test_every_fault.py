@@ -1,0 +1,20 @@
+"""Every fault of the list is exercised over the wire: what the OBC must see, and what comes after."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil_tests.faults import exercises_line
+from hil_tests.faults.exercise import Exercise, judge
+from st_emulator.faults.catalogue import FAULTS
+
+EXERCISES = [*exercises_line.EXERCISES]
+
+
+@pytest.mark.parametrize("exercise", EXERCISES, ids=lambda one: one.title)
+def test_fault(exercise: Exercise) -> None:
+    judge(exercise)
+
+
+def test_every_fault_is_exercised() -> None:
+    assert {exercise.fault["kind"] for exercise in EXERCISES} == set(FAULTS)
