@@ -1,7 +1,7 @@
 """Every fault over the wire: what is put in, what the OBC must see, and that nothing is left behind.
 
-The unit acquires by itself and tracks; the fault begins at ``START_MS``, lasts, and ends. Everything is judged
-by the octets that the unit sent, read by a decoder made with struct alone.
+The unit acquires by itself and tracks; the fault begins at ``START_MS``, lasts, and ends. Everything is
+judged by the octets that the unit sent, read by a decoder made with struct alone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ BACK_MS = 3000  # after its end the unit tracks again within this; a reboot adds
 
 @dataclass
 class Seen:
-    """What came on the wire. Times in ms of virtual time; the fault lasted from ``start_ms`` to ``end_ms``."""
+    """What came on the wire. Times in ms of virtual time; the fault was from ``start_ms`` to ``end_ms``."""
 
     bench: Bench
     start_ms: float
