@@ -8,14 +8,15 @@ by callback at the virtual time at which their last bit has left the unit.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ..clock import VirtualClock
+from ..clock import NS_PER_S, VirtualClock
 from ..device.imaging import FrameRecord, FrameSource, Lazy, Submit
 from ..device.star_tracker import StarTracker
 from ..device.store import Store, StoreContents, VolatileStore
@@ -34,12 +35,17 @@ from ..wire.can.bus import Disturbance
 from ..wire.can.controller import BusError
 from ..wire.can.wiring import CanWiring
 from ..world.recorded import RecordedFrames
+from ..world.sampled import BeyondTruthError, SampledTrajectory, TruthSample
 from ..world.scene import RenderedFrame, SceneRenderer
+from ..world.trajectory import Trajectory
 from .journal import JournalWriter, TextSink
 from .scenario import Scenario
 from .scenario_inputs import parameters_of, telecommands_of
 from .star_tables import star_tables
 from .world_of import scene_of
+
+# Samples of the truth this old are still there, for who wants to know what a frame in processing has seen.
+TRUTH_KEPT_NS = 10 * NS_PER_S
 
 
 class RecordedSource:
@@ -68,6 +74,18 @@ class LastExposed:
         return self.frame_exposed
 
 
+@dataclass(frozen=True)
+class Exposure:
+    """One that lasts: ``frame`` is what the sky puts on the detector in it."""
+
+    record: FrameRecord
+    frame: Frame | None
+
+    @property
+    def end_ns(self) -> int:
+        return self.record.start_ns + self.record.exposure_ns
+
+
 class Emulator:
     """One unit in its world.
 
@@ -82,6 +100,8 @@ class Emulator:
             record of a CAN frame; returns how many the link took (None: all).
         journal, truth: open text files, or None.
         submit: how frames are computed (see :mod:`st_emulator.device.imaging`).
+        trajectory: truth from outside in place of the scenario's trajectory. It is asked for an exposure when
+            the exposure is over, never before.
         on_completed: called with each processed frame, its pixels and intermediates (pictures are made of
         it).
         baud: line rate; the unit's own when None.
@@ -109,6 +129,7 @@ class Emulator:
         baud: int | None = None,
         can: CanWiring | None = None,
         disturbance: Disturbance | None = None,
+        trajectory: Trajectory | None = None,
         on_completed: Callable[[FrameRecord], None] = lambda record: None,
     ) -> None:
         self.profile = profile
@@ -126,11 +147,15 @@ class Emulator:
         self._apply_scenario_parameters()
         self.start_tai_ns = tai_ns_from_utc(self.scenario.start_utc)
         self.scene: SceneRenderer | None = None
+        self.trajectory = trajectory
+        self._exposures: deque[Exposure] = deque()
         source: FrameSource
         if frames is not None:
+            if trajectory is not None:
+                raise ConfigurationError("recorded frames show their own sky; allowed is no trajectory")
             source = RecordedSource(frames, hold)
         else:
-            source = self.scene = scene_of(profile, self.scenario, self.seed, self.start_tai_ns)
+            source = self.scene = scene_of(profile, self.scenario, self.seed, self.start_tai_ns, trajectory)
         self._exposed = LastExposed(source)
         self.device = StarTracker(
             profile,
@@ -138,7 +163,7 @@ class Emulator:
             SeamedSource(self._exposed, self._seams),
             star_tables(profile),
             self._store,
-            submit=submit,
+            submit=submit if trajectory is None else Lazy,  # nothing asks before the exposure is over
             on_frame=self._frame_exposed,
             on_completed=on_completed,
             seams=self._seams,
@@ -147,6 +172,10 @@ class Emulator:
         self._journal: JournalWriter | None = None
         if journal is not None:
             self._journal = JournalWriter(journal, self._header(frames))
+        if isinstance(trajectory, SampledTrajectory):
+            for sample in trajectory.samples:
+                self._truth_given(sample)
+            trajectory.watch(self._truth_given, self._truth_needed_from_ns)
         self._telecommands = deque(telecommands_of(profile, self.scenario))
         self._sender = dialect_of(profile).sender(profile, settings_of(profile), can)
         self.dialect = self._dialect()
@@ -195,8 +224,13 @@ class Emulator:
                 self._journal.write(self.clock.now_ns, "rx", data)
             self._arrive(data)
 
+    def transmit_to(self, transmit: Callable[[bytes, int], int | None]) -> None:
+        """What leaves the unit goes there from now on, as with the argument ``transmit``."""
+        self._external_transmit = transmit
+
     def do(self, what: str, content: Any) -> None:
-        """Do again what a journal says was done to the run: "inject" a fault, "clear" one.
+        """Do again what a journal says was done to the run: "inject" a fault, "clear" one, "truth" gives a
+        sample of it.
 
         Raises:
             ConfigurationError: it makes no sense here.
@@ -206,8 +240,13 @@ class Emulator:
                 self.faults.inject(content)
             case "clear":
                 self.faults.clear(int(content))
+            case "truth" if isinstance(self.trajectory, SampledTrajectory):
+                try:
+                    self.trajectory.add(TruthSample.of(content))
+                except (AttributeError, ValueError) as error:
+                    raise ConfigurationError(f"journal: truth: {error}") from error
             case _:
-                raise ConfigurationError(f"journal: {what}: nothing that is done to a run")
+                raise ConfigurationError(f"journal: {what}: nothing that is done to a run like this")
 
     def flush(self) -> None:
         """Write out what the journal and the truth file hold back."""
@@ -217,7 +256,11 @@ class Emulator:
             self._truth.flush()
 
     def close(self) -> None:
-        """Mark the end in the journal."""
+        """Mark the end in the journal; the truth of exposures that still last is written where it is
+        known."""
+        with contextlib.suppress(BeyondTruthError):
+            while self._exposures:
+                self._fix_oldest_exposure()
         if self._journal is not None:
             self._journal.end(self.clock.now_ns)
         self.flush()
@@ -276,19 +319,51 @@ class Emulator:
         return not refused
 
     def _frame_exposed(self, record: FrameRecord) -> None:
-        if self._truth is None:
-            return
-        exposed = self._exposed.frame_exposed
-        if isinstance(exposed, RenderedFrame) and self.scene is not None:
-            self._truth.write(self.scene.truth(exposed).to_json() + "\n")
-        else:
-            fields = {
-                "frame_index": record.index,
-                "exposure_mid_ns": record.mid_exposure_ns,
+        if self._truth is not None or self.trajectory is not None:
+            exposure = Exposure(record, self._exposed.frame_exposed)
+            self._exposures.append(exposure)
+            self.clock.at(exposure.end_ns, self._exposures_over)
+
+    def _exposures_over(self) -> None:
+        """What the frames have seen is fixed now, and goes into the truth file in the order of their starts.
+
+        Raises:
+            BeyondTruthError: the truth from outside does not reach so far; it can be done again when it does.
+        """
+        while self._exposures and self._exposures[0].end_ns <= self.now_ns:
+            self._fix_oldest_exposure()
+
+    def _fix_oldest_exposure(self) -> None:
+        exposure = self._exposures[0]
+        if isinstance(exposure.frame, RenderedFrame):
+            if isinstance(self.trajectory, SampledTrajectory):
+                self.trajectory.require(exposure.record.start_ns, exposure.end_ns)
+            if self.trajectory is not None:
+                _ = exposure.frame.light  # the samples of this time may be forgotten from now on
+        line = None if self._truth is None else self._truth_line(exposure)
+        self._exposures.popleft()
+        if self._truth is not None and line is not None:
+            self._truth.write(line + "\n")
+
+    def _truth_line(self, exposure: Exposure) -> str:
+        if isinstance(exposure.frame, RenderedFrame) and self.scene is not None:
+            return self.scene.truth(exposure.frame).to_json()
+        return json.dumps(
+            {
+                "frame_index": exposure.record.index,
+                "exposure_mid_ns": exposure.record.mid_exposure_ns,
                 "recorded": True,
-                "file": Path(str(getattr(exposed, "name", ""))).name,
+                "file": Path(str(getattr(exposure.frame, "name", ""))).name,
             }
-            self._truth.write(json.dumps(fields) + "\n")
+        )
+
+    def _truth_given(self, sample: TruthSample) -> None:
+        if self._journal is not None:
+            self._journal.write_doing(self.clock.now_ns, "truth", sample.as_dict())
+
+    def _truth_needed_from_ns(self) -> int:
+        oldest_ns = self._exposures[0].record.start_ns if self._exposures else self.now_ns
+        return min(oldest_ns, self.now_ns - TRUTH_KEPT_NS)
 
     def _reach(self) -> Reach:
         return Reach(
@@ -320,7 +395,9 @@ class Emulator:
 
     def _header(self, frames: RecordedFrames | None) -> dict[str, Any]:
         contents, fault = self._store.load()
+        truth = {} if self.trajectory is None else {"truth": self._truth_kind()}
         return {
+            **truth,
             "unit": self.profile.model_dump(mode="json"),
             "scenario": self.scenario.model_dump(mode="json", by_alias=True),
             "seed": self.seed,
@@ -335,3 +412,6 @@ class Emulator:
                 "fault": None if fault is None else int(fault),
             },
         }
+
+    def _truth_kind(self) -> str:
+        return "samples" if isinstance(self.trajectory, SampledTrajectory) else "not recorded"
