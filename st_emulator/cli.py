@@ -154,6 +154,49 @@ def run(
             "line without a scenario; all other runs, and `none`, start from factory parameters.",
         ),
     ] = None,
+    lockstep: Annotated[
+        str | None,
+        typer.Option(
+            "--lockstep",
+            metavar="HOST:PORT",
+            help="Time comes from a client of a socket on this loopback address (`127.0.0.1:0`: a free "
+            "port), step by step; see docs/lockstep.md. Default link then: none.",
+        ),
+    ] = None,
+    control: Annotated[
+        str | None,
+        typer.Option(
+            "--control",
+            metavar="HOST:PORT",
+            help="In a run paced by the computer: the same socket for faults, the true state and counters.",
+        ),
+    ] = None,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--lockstep-token-file",
+            "--control-token-file",
+            metavar="FILE",
+            help="Holds the token that a client has to bring; made, readable by its user alone, where there "
+            "is none. Default: a new one in the user's state folder, told when the unit runs.",
+        ),
+    ] = None,
+    attitude: Annotated[
+        str | None,
+        typer.Option(
+            "--attitude",
+            metavar="scenario|outside",
+            help="Whose the true attitude is: the scenario's, or with --lockstep the client's.",
+        ),
+    ] = None,
+    json_path: Annotated[
+        str | None,
+        typer.Option(
+            "--json",
+            metavar="FILE",
+            help="Write where the unit is to be reached as JSON when it runs (- for standard output).",
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
 ) -> None:
     """Run a unit on a line until stopped (Ctrl-C) or until the scenario's end."""
@@ -175,6 +218,11 @@ def run(
             seconds=seconds,
             store=store,
             quiet=quiet,
+            lockstep=lockstep,
+            control=control,
+            token_file=token_file,
+            attitude=attitude,
+            json_path=json_path,
         )
     )
 
@@ -376,10 +424,11 @@ def main() -> None:
     _mount_obc()
     from .links import LinkError
     from .world.recorded import RecordedFrameError
+    from .world.sampled import BeyondTruthError
 
     try:
         app(prog_name="st-emulator")
-    except (ConfigurationError, LinkError, RecordedFrameError) as error:
+    except (BeyondTruthError, ConfigurationError, LinkError, RecordedFrameError) as error:
         _refuse(str(error))
     except BrokenPipeError:
         sys.exit(1)

@@ -243,7 +243,7 @@ class Emulator:
             case "truth" if isinstance(self.trajectory, SampledTrajectory):
                 try:
                     self.trajectory.add(TruthSample.of(content))
-                except (AttributeError, ValueError) as error:
+                except ValueError as error:
                     raise ConfigurationError(f"journal: truth: {error}") from error
             case _:
                 raise ConfigurationError(f"journal: {what}: nothing that is done to a run like this")
@@ -258,9 +258,10 @@ class Emulator:
     def close(self) -> None:
         """Mark the end in the journal; the truth of exposures that still last is written where it is
         known."""
-        with contextlib.suppress(BeyondTruthError):
-            while self._exposures:
-                self._fix_oldest_exposure()
+        if self.trajectory is None or isinstance(self.trajectory, SampledTrajectory):
+            with contextlib.suppress(BeyondTruthError):
+                while self._exposures:
+                    self._fix_oldest_exposure()
         if self._journal is not None:
             self._journal.end(self.clock.now_ns)
         self.flush()

@@ -15,7 +15,7 @@ from ..bench.scenario import Scenario, load_scenario
 from ..bench.scenario_inputs import check_inputs, parameters_of
 from ..campaigns.results_file import ResultsFile, identity_hash, program_fingerprint
 from ..campaigns.workers import Progress, Workers
-from ..commands.running import state_folder
+from ..commands.state_folder import state_folder
 from ..errors import ConfigurationError
 from ..report import require_json_path, write_json
 from ..units.profile import load_unit

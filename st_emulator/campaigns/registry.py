@@ -12,7 +12,7 @@ from rich.markup import escape
 
 from ..bench.scenario import Scenario
 from ..bench.scenario_inputs import check_inputs
-from ..commands.running import state_folder
+from ..commands.state_folder import state_folder
 from ..errors import ConfigurationError
 from ..report import all_hold, require_json_path, show_checks, show_figures, show_table, write_json
 from ..units.profile import load_unit

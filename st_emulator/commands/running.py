@@ -7,6 +7,7 @@ import fcntl
 import itertools
 import math
 import os
+import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,14 +22,18 @@ from ..clock import NS_PER_S
 from ..device.imaging import Lazy
 from ..device.store import FileStore, Store, VolatileStore
 from ..dialects.registry import dialect_of, require_wire, with_dialect
-from ..drivers.realtime import FrameWorker, StopSignal, run_paced, run_unpaced
+from ..drivers.realtime import FrameWorker, StopSignal, run_lockstep, run_paced, run_unpaced
 from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
 from ..links import Link, LinkSpecification, open_link, parse_link
+from ..report import require_json_path
 from ..units.profile import UnitProfile, load_unit
 from ..wire.can.wiring import CanWiring
 from ..world.recorded import RecordedFrames
+from ..world.sampled import SampledTrajectory
+from .controlling import Control, control_options, open_control, token_for, write_ready
 from .output_file import OutputFile
+from .state_folder import state_folder
 from .warm_up import compile_apart, warm_up
 
 
@@ -50,14 +55,11 @@ class RunOptions:
     seconds: float | None = None
     store: str | None = None
     quiet: bool = False
-
-
-def state_folder() -> Path:
-    """Where units keep their non-volatile memories: ``$XDG_STATE_HOME/st-emulator``, else
-    ``~/.local/state/st-emulator``.
-    """
-    root = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(root) if root and Path(root).is_absolute() else Path.home() / ".local/state") / "st-emulator"
+    lockstep: str | None = None
+    control: str | None = None
+    token_file: Path | None = None
+    attitude: str | None = None
+    json_path: str | None = None
 
 
 def parse_speed(text: str) -> float:
@@ -146,6 +148,11 @@ class _Watch:
         self._off = off
 
 
+def _say(text: str) -> None:
+    """To who started the unit, also where it is to be quiet: a unit that waits for nobody is an error."""
+    print(text, file=sys.stderr, flush=True)
+
+
 def run_unit(options: RunOptions) -> None:
     """Run a unit as ``st-emulator run`` does, until its end, Ctrl-C or SIGTERM.
 
@@ -154,7 +161,10 @@ def run_unit(options: RunOptions) -> None:
     """
     console = Console(quiet=options.quiet, stderr=True, soft_wrap=True, highlight=False)
     speed = parse_speed(options.speed)
-    link_text = options.link if options.link is not None else ("pty" if speed == 1 else "none")
+    control_asked = control_options(options)
+    require_json_path(options.json_path)
+    waits_for_nobody = speed != 1 or options.lockstep is not None
+    link_text = options.link if options.link is not None else ("none" if waits_for_nobody else "pty")
     specification = parse_link(link_text)
     live = specification.kind != "none"
     if live and speed != 1:
@@ -178,6 +188,10 @@ def run_unit(options: RunOptions) -> None:
         raise ConfigurationError(f"--truth {options.truth}: is the journal too; allowed is a file of its own")
     frames = None
     if options.frames is not None:
+        if options.attitude == "outside":
+            raise ConfigurationError(
+                f"--attitude outside: --frames {options.frames} show their own sky; allowed is one of them"
+            )
         frames = RecordedFrames(options.frames, profile.detector.columns, profile.detector.rows)
     stop = StopSignal()
     with contextlib.ExitStack() as stack:
@@ -187,6 +201,7 @@ def run_unit(options: RunOptions) -> None:
         link = stack.enter_context(
             open_link(specification, "unit", profile.wire.baud, profile.name, profile.can.bitrate)
         )
+        token = None if control_asked is None else token_for(stack, control_asked)
         journal = open_output(stack, options.journal, "--journal")
         truth = open_output(stack, options.truth, "--truth")
         try:
@@ -198,7 +213,8 @@ def run_unit(options: RunOptions) -> None:
             return
         if options.scenario is None:
             scenario = scenario_of(options, live)  # power comes on now
-        worker = FrameWorker() if speed != math.inf else None
+        paced = speed != math.inf and options.lockstep is None
+        worker = FrameWorker() if paced else None
         if worker is not None:
             stack.callback(worker.close)
 
@@ -220,11 +236,19 @@ def run_unit(options: RunOptions) -> None:
             pace_reception=specification.kind != "serial",
             baud=specification.baud,
             can=wiring_of(profile, specification, link, options.node),
+            trajectory=SampledTrajectory() if options.attitude == "outside" else None,
         )
-        _announce(console, emulator, link, options, store_text, duration_s)
         until_ns = None if duration_s is None else round(duration_s * NS_PER_S)
+        control = None
+        if control_asked is not None and token is not None:
+            served_link = None if specification.kind == "none" else link
+            control = open_control(stack, control_asked, token, emulator, served_link, until_ns, _say)
+        _announce(console, emulator, link, options, store_text, duration_s, control)
+        watch = _Watch(emulator, console)
         try:
-            if speed == math.inf:
+            if control is not None and control.steps:
+                run_lockstep(emulator, control.server, stop=stop, until_ns=until_ns, on_wait=watch)
+            elif speed == math.inf:
                 assert until_ns is not None
                 run_unpaced(emulator, stop=stop, until_ns=until_ns)
             else:
@@ -234,7 +258,8 @@ def run_unit(options: RunOptions) -> None:
                     stop=stop,
                     speed=speed,
                     until_ns=until_ns,
-                    on_wait=_Watch(emulator, console),
+                    on_wait=watch,
+                    control=None if control is None else control.server,
                 )
         finally:
             emulator.close()
@@ -265,8 +290,9 @@ def _announce(
     options: RunOptions,
     store_text: str,
     duration_s: float | None,
+    control: Control | None,
 ) -> None:
-    """Say what runs and where to find it."""
+    """Say what runs and where to find it, to a person and to a script."""
     profile = emulator.profile
     rate_hz = 1000 / profile.timing.frame_period_ms
     console.print(f"[bold]{escape(profile.unit.title)}[/]")
@@ -277,4 +303,15 @@ def _announce(
     console.print(f"world: from {emulator.scenario.start_utc:%Y-%m-%dT%H:%M:%SZ}")
     console.print(f"non-volatile memory: {escape(store_text)}")
     end = "until stopped (Ctrl-C)" if duration_s is None else f"for {duration_s:g} s of virtual time"
-    console.print(f"running {end}, speed {escape(options.speed)}")
+    if control is not None:
+        console.print(escape(control.told()))
+    ready = {
+        "unit": profile.name,
+        "link": link.name,
+        "seed": emulator.seed,
+        "start_utc": f"{emulator.scenario.start_utc:%Y-%m-%dT%H:%M:%S.%fZ}",
+        "control": None if control is None else control.ready(),
+    }
+    write_ready(options.json_path, ready)
+    speed = "in lockstep with a client" if options.lockstep is not None else f"speed {options.speed}"
+    console.print(f"running {end}, {escape(speed)}")

@@ -193,6 +193,11 @@ class Imaging:
         self._captures += 1
         self._capture_wanted = False
 
+    @property
+    def next_start_ns(self) -> int | None:
+        """When the next frame period begins; None without power."""
+        return None if self._next_tick is None else self._next_tick.at_ns
+
     def budget_cycles(self, settings: FrameSettings) -> int:
         """Cycles between a frame's read-out and the moment from which on it is late."""
         return max(0, self._budget_ns(settings)) * settings.processor.clock_hz // NS_PER_S

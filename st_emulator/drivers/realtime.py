@@ -22,6 +22,7 @@ from typing import Any
 from ..bench.emulator import Emulator
 from ..clock import NS_PER_S
 from ..links import Link
+from .control_server import ControlServer
 
 POLL_S = 0.02  # for links that cannot be waited for
 LONGEST_WAIT_S = 0.5
@@ -183,10 +184,12 @@ def run_paced(
     speed: float = 1.0,
     until_ns: int | None = None,
     on_wait: Callable[[], None] = lambda: None,
+    control: ControlServer | None = None,
 ) -> None:
     """Run at ``speed`` times real time until ``until_ns`` (virtual) or a signal.
 
-    ``on_wait`` is called about twice a second when nothing is due (progress, flushing of files).
+    ``on_wait`` is called about twice a second when nothing is due (progress, flushing of files). ``control``
+    is served between events.
     """
     descriptor = link.fileno()
     pace = Pace(speed)
@@ -213,7 +216,13 @@ def run_paced(
                 continue
             wait_s = min(max(wait_s, 0.0), LONGEST_WAIT_S if descriptor is not None else POLL_S)
             waited_for: list[Any] = [stop] if descriptor is None else [stop, descriptor]
-            ready, _, _ = select.select(waited_for, [], [], wait_s)
+            readers, writers = ([], []) if control is None else (control.readers(), control.writers())
+            ready, writable, _ = select.select([*waited_for, *readers], writers, [], wait_s)
+            if control is not None:
+                asked = bool(writable) or any(one in readers for one in ready)
+                if asked and not pace.held_up(emulator):
+                    emulator.advance(pace.now_ns())  # what a client sees and does is of now
+                control.serve()
             if descriptor is None or descriptor in ready:
                 data = link.read()
                 if data:
@@ -221,6 +230,28 @@ def run_paced(
                         # Everything due before the bytes came is done before they count.
                         emulator.advance(pace.now_ns())
                     emulator.receive(data)
+
+
+def run_lockstep(
+    emulator: Emulator,
+    control: ControlServer,
+    *,
+    stop: StopSignal,
+    until_ns: int | None = None,
+    on_wait: Callable[[], None] = lambda: None,
+) -> None:
+    """Let a client of ``control`` step the unit until ``until_ns`` (virtual) or a signal.
+
+    ``on_wait`` is called when it has been silent for a while.
+    """
+    while not stop.stopped and (until_ns is None or emulator.now_ns < until_ns):
+        try:
+            with stop.interrupting():  # a step may be long
+                served = control.serve(LONGEST_WAIT_S, stop)
+        except KeyboardInterrupt:
+            break
+        if not served:
+            on_wait()
 
 
 def run_unpaced(

@@ -76,6 +76,8 @@ class TruthSample:
         """Of a table with these names (a journal's line, a message). Raises ValueError naming what is
         wrong."""
         names = [item.name for item in fields(cls)]
+        if not isinstance(values, Mapping):
+            raise ValueError(f"found {values!r:.60}; allowed is a table with {', '.join(names)}")
         for name in values:
             if name not in names:
                 raise ValueError(f"{name}: is not a known item; allowed are {', '.join(names)}")
