@@ -279,7 +279,9 @@ class Emulator:
         require_wire(self.profile, self.can is not None)
         if self.can is not None:
             assert definition.on_can is not None
-            wire = CanWire(self.clock, self.can, self._transmitted, self._disturb, self._seams)
+            wire = CanWire(
+                self.clock, self.can, self._transmitted, self._disturb, self._seams, self._seams.recovers
+            )
             on_can: Dialect = definition.on_can(self.device, wire, settings)
             return on_can
         assert definition.on_serial is not None
@@ -376,6 +378,7 @@ class Emulator:
             wire="serial" if self.can is None else "can",
             baud=self.baud,
             store=self._store,
+            can=self.can,
         )
 
     def _fault_told(self, number: int, kind: str, what: str) -> None:

@@ -17,7 +17,7 @@ from ..device.speaker import Speaker
 from ..device.star_tracker import StarTracker
 from ..units.profile import UnitProfile
 from ..units.validation import Section
-from ..wire.can.bus import Disturbance
+from ..wire.can.bus import Disturbance, always
 from ..wire.can.wiring import CanWiring
 from ..wire.seam import PLAIN, MessageSeam
 
@@ -73,7 +73,7 @@ class CanWire:
 
     ``transmit`` takes the record of a frame when its last bit has left and says whether the link took it;
     ``disturbance`` is the seam where faults of the bus enter, ``messages`` that of whole messages of many
-    frames.
+    frames; ``recovers`` is asked before a controller that is bus-off comes back.
     """
 
     clock: VirtualClock
@@ -81,6 +81,7 @@ class CanWire:
     transmit: Callable[[bytes], bool]
     disturbance: Disturbance | None = None
     messages: MessageSeam = PLAIN
+    recovers: Callable[[], bool] = always
 
 
 class ScenarioSender(Protocol):

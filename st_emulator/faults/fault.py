@@ -24,6 +24,7 @@ from ..protocol.can.frames import CanFrame
 from ..units.profile import UnitProfile
 from ..units.validation import Section
 from ..wire.can.controller import BusError
+from ..wire.can.wiring import CanWiring
 from ..wire.seam import Forward
 from .store import SeamedStore
 
@@ -75,7 +76,8 @@ class Reach:
     """What a fault may lay its hands on.
 
     ``to_obc`` and ``to_unit`` put octets of the line, or the record of a CAN frame, on the link beyond the
-    seams: as somebody on the wire would. ``store``: the non-volatile memory.
+    seams: as somebody on the wire would. ``store``: the non-volatile memory. ``can``: how the unit is on its
+    bus.
     """
 
     clock: VirtualClock
@@ -86,6 +88,7 @@ class Reach:
     wire: Wire
     baud: int
     store: SeamedStore
+    can: CanWiring | None = None
 
 
 SettingsT = TypeVar("SettingsT", bound=FaultSettings)
@@ -147,7 +150,12 @@ class AtFrames(Fault[SettingsT]):
 
 
 class AtBus(Fault[SettingsT]):
-    """Each attempt to send a frame on the modelled CAN bus."""
+    """Each attempt to send a frame on the modelled CAN bus.
+
+    ``withholds_recovery``: a controller that is bus-off stays so while the fault lasts.
+    """
+
+    withholds_recovery: ClassVar[bool] = False
 
     def attempt(self, frame: CanFrame, own: bool, now_ns: int) -> BusError | None:
         """What destroys it, or None."""
@@ -217,7 +225,7 @@ class FaultKind:
 
     ``seam``: where it enters. ``what``: what happens. ``obc_sees``: what an OBC must see on the wire.
     ``afterwards``: what comes when it is over. ``wires``: where there is such a thing.
-    ``dialects``: in which languages; None: all.
+    ``dialects``: in which languages; None: all but ``except_dialects``.
     """
 
     settings: type[FaultSettings]
@@ -227,6 +235,11 @@ class FaultKind:
     afterwards: str
     wires: tuple[Wire, ...] = ("serial", "can")
     dialects: tuple[str, ...] | None = None
+    except_dialects: tuple[str, ...] = ()
+
+    def spoken_in(self, dialect: str) -> bool:
+        """Whether there is such a thing in a language."""
+        return dialect not in self.except_dialects and (self.dialects is None or dialect in self.dialects)
 
     @property
     def name(self) -> str:

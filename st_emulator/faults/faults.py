@@ -129,10 +129,12 @@ class Faults:
                 f"{_WIRES[reach.wire]}; allowed are {', '.join(_allowed_on(reach))}"
             )
         language = reach.profile.wire.dialect
-        if kind.dialects is not None and language not in kind.dialects:
+        if not kind.spoken_in(language):
+            spoken = f"is not for {language}"
+            if kind.dialects is not None:
+                spoken = f"is for the dialects {', '.join(kind.dialects)}, and this unit speaks {language}"
             raise ConfigurationError(
-                f"{where}: {kind.name} is for the dialects {', '.join(kind.dialects)}, and this unit speaks "
-                f"{language}; allowed are {', '.join(_allowed_on(reach))}"
+                f"{where}: {kind.name} {spoken}; allowed are {', '.join(_allowed_on(reach))}"
             )
         if len(self.all) >= MOST_FAULTS:
             raise ConfigurationError(f"{where}: more than {MOST_FAULTS} faults in one run")
@@ -179,11 +181,7 @@ _WIRES = {"serial": "a serial line", "can": "a CAN bus"}
 
 def _allowed_on(reach: Reach) -> list[str]:
     language = reach.profile.wire.dialect
-    return [
-        kind.name
-        for kind in FAULTS.values()
-        if reach.wire in kind.wires and (kind.dialects is None or language in kind.dialects)
-    ]
+    return [kind.name for kind in FAULTS.values() if reach.wire in kind.wires and kind.spoken_in(language)]
 
 
 def settings_of(table: Mapping[str, Any], where: str) -> FaultSettings:

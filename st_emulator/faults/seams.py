@@ -52,10 +52,10 @@ class Seams:
     # -- the wire (see wire.seam)
 
     def to_obc(self, message: bytes, forward: Forward) -> None:
-        _through(self._at(AtMessages), message, True, forward)
+        self._through(self._at(AtMessages), message, True, forward)
 
     def to_unit(self, message: bytes, forward: Forward) -> None:
-        _through(self._at(AtMessages), message, False, forward)
+        self._through(self._at(AtMessages), message, False, forward)
 
     # -- the link
 
@@ -72,13 +72,17 @@ class Seams:
             forward(records)
             return
         for frame in RecordDecoder().receive(records):
-            _frame_through(faults, frame, to_obc, lambda one: forward(encode_record(one)))
+            self._frame_through(faults, frame, to_obc, lambda one: forward(encode_record(one)))
 
     def disturbance(self, frame: CanFrame, own: bool, now_ns: int) -> BusError | None:
         for fault in self._at(AtBus):
             if (error := fault.attempt(frame, own, now_ns)) is not None:
                 return error
         return None
+
+    def recovers(self) -> bool:
+        """Whether a controller that is bus-off may come back now."""
+        return not any(fault.withholds_recovery for fault in self._at(AtBus))
 
     # -- the device (see device.seams)
 
@@ -112,23 +116,29 @@ class Seams:
             frame = fault.expose(frame, exposure)
         return frame
 
+    # -- one fault behind the other; what one has kept back does not meet those that ended meanwhile
 
-def _through(faults: list[AtMessages[Any]], message: bytes, to_obc: bool, forward: Forward) -> None:
-    if not faults:
-        forward(message)
-        return
-    rest = faults[1:]
-    faults[0].message(message, to_obc, lambda changed: _through(rest, changed, to_obc, forward))
+    def _through(self, faults: list[AtMessages[Any]], message: bytes, to_obc: bool, forward: Forward) -> None:
+        faults = [fault for fault in faults if fault in self._active]
+        if not faults:
+            forward(message)
+            return
+        rest = faults[1:]
+        faults[0].message(message, to_obc, lambda changed: self._through(rest, changed, to_obc, forward))
 
-
-def _frame_through(
-    faults: list[AtFrames[Any]], frame: CanFrame, to_obc: bool, forward: Callable[[CanFrame], None]
-) -> None:
-    if not faults:
-        forward(frame)
-        return
-    rest = faults[1:]
-    faults[0].frame(frame, to_obc, lambda changed: _frame_through(rest, changed, to_obc, forward))
+    def _frame_through(
+        self,
+        faults: list[AtFrames[Any]],
+        frame: CanFrame,
+        to_obc: bool,
+        forward: Callable[[CanFrame], None],
+    ) -> None:
+        faults = [fault for fault in faults if fault in self._active]
+        if not faults:
+            forward(frame)
+            return
+        rest = faults[1:]
+        faults[0].frame(frame, to_obc, lambda changed: self._frame_through(rest, changed, to_obc, forward))
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,9 @@ class PusDialect:
         settings = wire.wiring.port_settings(device.profile.can)
 
         def port(client: PortClient) -> CanPort:
-            return CanPort(wire.clock, settings, wire.transmit, client, wire.disturbance, wire.messages)
+            return CanPort(
+                wire.clock, settings, wire.transmit, client, wire.disturbance, wire.messages, wire.recovers
+            )
 
         return PusDialect(device, port, CyclicFrames)
 

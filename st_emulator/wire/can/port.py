@@ -26,7 +26,7 @@ from ...protocol.pus.packets import MAX_TELECOMMAND_BYTES, MAX_TELEMETRY_BYTES
 from ...protocol.pus.services.large_data import MAX_PART_BYTES
 from ..port import CanObserver, PortClient
 from ..seam import PLAIN, MessageSeam
-from .bus import CanBus, CanBusSettings, Disturbance
+from .bus import CanBus, CanBusSettings, Disturbance, always
 
 FROM_OBC = ("sync", "time_at_sync")
 RECEIVER_GONE = (TransferFailure.TIMEOUT_A, TransferFailure.TIMEOUT_BS, TransferFailure.WAIT_LIMIT)
@@ -129,6 +129,7 @@ class CanPort:
         client: the unit.
         disturbance: the seam where faults of the bus enter.
         messages: the seam of whole packets, outside the transport.
+        recovers: asked before a controller that is bus-off comes back.
     """
 
     part_bytes = MAX_PART_BYTES
@@ -141,6 +142,7 @@ class CanPort:
         client: PortClient,
         disturbance: Disturbance | None = None,
         messages: MessageSeam = PLAIN,
+        recovers: Callable[[], bool] = always,
     ) -> None:
         self._messages = messages
         self._clock = clock
@@ -156,6 +158,7 @@ class CanPort:
             self._received,
             on_state=self._state_changed,
             disturbance=disturbance,
+            recovers=recovers,
         )
         self.counters = CanPortCounters()
         self._queue: deque[_Packet] = deque()
@@ -339,9 +342,9 @@ class CanPort:
         self._handle(self.connection.confirmed(item.frame, self._clock.now_ns))
         self._pump()
 
-    def _take(self, last_bit_ns: int, packet: bytes) -> None:
+    def _take(self, packet: bytes) -> None:
         if self._client.listening:
-            self._client.packet_received(packet, last_bit_ns)
+            self._client.packet_received(packet, self._last_bit_ns)
 
     def _handle(self, events: list[IsoTpEvent]) -> None:
         """To be followed by :meth:`_pump`."""
@@ -349,7 +352,7 @@ class CanPort:
         for event in events:
             if isinstance(event, PduReceived):
                 self._heard = True
-                self._messages.to_unit(event.data, partial(self._take, self._last_bit_ns))
+                self._messages.to_unit(event.data, self._take)
             elif isinstance(event, PduSent):
                 self._under_way = None
                 self._under_way_bytes = 0
