@@ -54,7 +54,9 @@ def over_the_budget(seen: Seen) -> str:
         if one.fields["reasons"] & FRAME_DROPPED and one.t_ns < seen.end_ms * MS - 100 * MS
     )  # fmt: skip
     share = timing["cycles_total"] / timing["cycles_budget"]
-    return f"{dropped} of 12 frames dropped with OVERRUN, {len(late)} late, cycles {share:.1f} times the budget"
+    return (
+        f"{dropped} of 12 frames dropped with OVERRUN, {len(late)} late, cycles {share:.1f} times the budget"
+    )
 
 
 def caches_off(seen: Seen) -> str:

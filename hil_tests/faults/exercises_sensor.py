@@ -197,8 +197,9 @@ def gain_falls(seen: Seen) -> str:
     assert stars[0] >= 22
     assert stars[-1] <= 6
     assert found[-1]["noise_dn"] < 0.5 * found[0]["noise_dn"]
-    return f"stars identified fall from {stars[0]} to {stars[-1]}, noise from {found[0]['noise_dn']:.1f} to " + (
-        f"{found[-1]['noise_dn']:.1f} DN"
+    return (
+        f"stars identified fall from {stars[0]} to {stars[-1]}, noise from {found[0]['noise_dn']:.1f} to "
+        + (f"{found[-1]['noise_dn']:.1f} DN")
     )
 
 
@@ -207,7 +208,9 @@ def gain_grows(seen: Seen) -> str:
     first = next(number for number, one in enumerate(found) if one["reasons"] & BLINDED)
     assert valid(found) == first > 4
     assert len(events(seen, "SENSOR_BLINDED")) == 1
-    return f"valid in the first {first} of 12, background to {found[-1]['background_dn']:.0f} DN, then BLINDED"
+    return (
+        f"valid in the first {first} of 12, background to {found[-1]['background_dn']:.0f} DN, then BLINDED"
+    )
 
 
 # -- frames
@@ -248,7 +251,9 @@ def torn_still(seen: Seen) -> str:
 
 def torn_turning(seen: Seen) -> str:
     found = frames(seen)
-    seen_by_reason = count(found, RATE_TOO_HIGH) + count(found, RESIDUAL_TOO_LARGE) + count(found, TOO_FEW_STARS)
+    seen_by_reason = (
+        count(found, RATE_TOO_HIGH) + count(found, RESIDUAL_TOO_LARGE) + count(found, TOO_FEW_STARS)
+    )
     assert seen_by_reason >= 2
     off = [one for one in found if one["valid"] and not _rate_fits(one)]
     assert off, "a valid one whose rate tells that it is not from its own frame"

@@ -66,7 +66,9 @@ def against_truth(
     keys = {"sky": {"aberration": False}} | scenario
     parameters = {"autonomous_start": 1}
     bench = make(
-        load_unit(unit), scenario=Scenario(seed=seed, parameters=parameters, faults=faults, **keys), baud=921600
+        load_unit(unit),
+        scenario=Scenario(seed=seed, parameters=parameters, faults=faults, **keys),
+        baud=921600,
     )
     period_ms = bench.emulator.profile.timing.frame_period_ms
     bench.run_to(START_S * 1000)
@@ -89,7 +91,9 @@ def against_truth(
         found.in_lost_in_space += report["mode"] == 3
         start_ns = report["frame_index"] * period_ms * 1_000_000
         true = scene.trajectory.q_icrs_to_sensor(start_ns + report["exposure_us"] * 500)
-        error = error_rad(np.array([report[f"q_{axis}"] for axis in "xyzw"]), np.asarray(true)) * ARCSEC_PER_RAD
+        error = (
+            error_rad(np.array([report[f"q_{axis}"] for axis in "xyzw"]), np.asarray(true)) * ARCSEC_PER_RAD
+        )
         found.across_arcsec.append(float(np.hypot(error[0], error[1])))
         found.about_arcsec.append(float(abs(error[2])))
         variance = (report["covariance_xx"] + report["covariance_yy"]) / 2

@@ -96,7 +96,8 @@ def _rise(
     The charge is a Poisson number, above ``POISSON_EXACT_BELOW`` by its Cornish-Fisher expansion. The place
     of a number within its step is the word's lower half.
     """
-    gain, full, one = np.float32(inverse_gain), np.float32(full_dn), np.float32(1.0)
+    gain, full, one = np.float32(inverse_gain), np.int32(full_dn), np.float32(1.0)
+    most = np.float32(65536.0)
     zero, sixth, small = np.float32(0.0), np.float32(1.0 / 6.0), np.float32(1.0 / 72.0)
     exact = POISSON_EXACT_BELOW
     slow = np.int64(0)
@@ -106,21 +107,21 @@ def _rise(
         z2 = z * z
         root = np.float32(math.sqrt(m))
         charge = m + root * z + (z2 - one) * sixth + z * (one - z2) * small / root
-        before = np.float32(numbers[i])
+        before = np.int32(numbers[i])
         place = np.float32(np.int32((words[i] & _LOW_32) >> _S8)) * np.float32(2.0**-24)
-        number = min(before + place + charge * gain, max(before, full))
+        number = before + np.int32(min(place + charge * gain, most))
         few = mean[i] < exact
         slow += np.int64(few)
-        numbers[i] = numbers[i] if few else np.uint16(np.int32(number))
+        numbers[i] = numbers[i] if few else np.uint16(min(number, max(before, full)))
     if slow == 0:
         return
     for i in range(mean.shape[0]):
         if zero < mean[i] < exact:
             charge = np.float32(charge_of(float(mean[i]), words[i], table))
-            before = np.float32(numbers[i])
+            before = np.int32(numbers[i])
             place = np.float32(np.int32((words[i] & _LOW_32) >> _S8)) * np.float32(2.0**-24)
-            number = min(before + place + charge * gain, max(before, full))
-            numbers[i] = np.uint16(np.int32(number))
+            number = before + np.int32(min(place + charge * gain, most))
+            numbers[i] = np.uint16(min(number, max(before, full)))
 
 
 @njit(nogil=True, error_model="numpy")
@@ -242,8 +243,8 @@ def amplify(
     for i in range(rects.shape[0]):
         widest = max(widest, rects[i, 2] - rects[i, 0])
     words = np.empty(widest, np.uint64)
-    factor, full = np.float32(gain), np.float32(full_dn)
-    offset, half, zero = np.float32(offset_dn), np.float32(0.5), np.float32(0.0)
+    factor, full, most = np.float32(gain), np.float32(full_dn), np.float32(65536.0)
+    offset, half, zero, one = np.float32(offset_dn), np.float32(0.5), np.float32(0.0), np.float32(1.0)
     for i in range(rects.shape[0]):
         w = rects[i, 2] - rects[i, 0]
         at = offsets[i]
@@ -252,7 +253,9 @@ def amplify(
             numbers = flat[at : at + w]
             for j in range(w):
                 place = np.float32(np.int32((words[j] & _LOW_32) >> _S8)) * np.float32(2.0**-24) - half
-                number = (np.float32(numbers[j]) + place - offset) * factor + (offset + half)
+                before = np.float32(numbers[j])
+                more = (before - offset) * (factor - one) + (place * factor + half)
+                number = before + np.floor(min(max(more, -most), most))
                 numbers[j] = np.uint16(np.int32(min(max(number, zero), full)))
             at += w
 
