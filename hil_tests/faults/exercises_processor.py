@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from hil_tests.faults.exercise import Exercise, Seen
 from hil_tests.faults.exercises_sensor import FRAME_DROPPED, count, events, frames, tracked_before, valid
 from hil_tests.unit.conftest import MS, Bench
@@ -30,7 +32,8 @@ def within_the_budget(seen: Seen) -> str:
     late, early = max(one["latency_us"] for one in found), max(one["latency_us"] for one in before)
     assert late > early + 40_000
     assert seen.figures["status"]["frames_late"] == 0
-    return f"valid in 12 of 12, latency {late / 1000:.0f} ms (before {early / 1000:.0f} ms), clock 100 MHz in TIMING"
+    latency = f"latency {late / 1000:.0f} ms (before {early / 1000:.0f} ms)"
+    return f"valid in 12 of 12, {latency}, clock 100 MHz in TIMING"
 
 
 def over_the_budget(seen: Seen) -> str:
@@ -119,17 +122,26 @@ def warm(seen: Seen) -> str:
     return f"{booted(seen, WARM, 0)} (WARM_RESET)"
 
 
+HANG: dict[str, Any] = {"lasts_ms": 0, "reboots": True, "meanwhile": ping_in_vain}
+
 EXERCISES = (
     Exercise({"kind": "processor.slower_clock"}, within_the_budget, "4 times", meanwhile=look_at_timing),
     Exercise(
-        {"kind": "processor.slower_clock", "factor": 20}, over_the_budget, "20 times", meanwhile=look_at_timing
+        {"kind": "processor.slower_clock", "factor": 20},
+        over_the_budget,
+        "20 times",
+        meanwhile=look_at_timing,
     ),
     Exercise({"kind": "processor.cache_off"}, caches_off, meanwhile=look_at_timing),
     Exercise(
-        {"kind": "processor.slow_stage", "stage": "centroid", "factor": 100}, slow_stage, meanwhile=look_at_timing
+        {"kind": "processor.slow_stage", "stage": "centroid", "factor": 100},
+        slow_stage,
+        meanwhile=look_at_timing,
     ),
-    Exercise({"kind": "processor.stuck"}, stuck, lasts_ms=0, reboots=True, meanwhile=ping_in_vain),
-    Exercise({"kind": "processor.stuck"}, stuck, lasts_ms=0, reboots=True, meanwhile=ping_in_vain, on_can=True),
+    Exercise({"kind": "processor.stuck"}, stuck, **HANG),
+    Exercise({"kind": "processor.stuck"}, stuck, **HANG, on_can=True),
     Exercise({"kind": "processor.spurious_reset"}, spurious, lasts_ms=0, reboots=True),
-    Exercise({"kind": "processor.spurious_reset", "cause": "warm_reset"}, warm, "warm", lasts_ms=0, reboots=True),
+    Exercise(
+        {"kind": "processor.spurious_reset", "cause": "warm_reset"}, warm, "warm", lasts_ms=0, reboots=True
+    ),
 )  # fmt: skip
