@@ -96,7 +96,8 @@ def false_stars_tracked(seen: Seen) -> str:
     _, most = span(found, "spots_detected")
     assert most > span(before, "spots_detected")[1]
     assert span(found, "stars_identified")[0] >= 20
-    return f"valid in 12 of 12, up to {most} spots detected in the windows (before {mean(before, 'spots_detected'):.0f})"
+    usual = mean(before, "spots_detected")
+    return f"valid in 12 of 12, up to {most} spots detected in the windows (before {usual:.0f})"
 
 
 def stray_light(seen: Seen) -> str:
@@ -106,7 +107,8 @@ def stray_light(seen: Seen) -> str:
     assert 100 < level - mean(before, "background_dn") < 200  # 150 DN in the middle, and 24 windows anywhere
     assert noise > 2 * mean(before, "noise_dn")
     assert mean(found, "covariance_xx") > 1.2 * mean(before, "covariance_xx")
-    return f"background {level:.0f} DN, noise {noise:.1f} DN (before {mean(before, 'noise_dn'):.1f}), valid in 12 of 12"
+    usual = mean(before, "noise_dn")
+    return f"background {level:.0f} DN, noise {noise:.1f} DN (before {usual:.1f}), valid in 12 of 12"
 
 
 def stray_light_searched(seen: Seen) -> str:
@@ -117,8 +119,8 @@ def stray_light_searched(seen: Seen) -> str:
     assert most >= 500, "the slope over the unit's moving average is taken for stars"
     assert events(seen, "FRAME_OVERRAN")
     return (
-        f"{most} spots detected on the slope, NO_MATCH in {len(processed)} of {len(processed)} searched frames, "
-        f"{count(found, FRAME_DROPPED)} frames dropped"
+        f"{most} spots detected on the slope, NO_MATCH in {len(processed)} of {len(processed)} searched "
+        f"frames, {count(found, FRAME_DROPPED)} frames dropped"
     )
 
 
@@ -144,7 +146,8 @@ def coming_nearer(seen: Seen) -> str:
     assert all(one["reasons"] & BLINDED for one in found[first:])
     assert valid(found) == first
     assert len(events(seen, "SENSOR_BLINDED")) == 1
-    return f"background from {levels[0]:.0f} to {levels[-1]:.0f} DN, valid in the first {first} of 12, then BLINDED"
+    rise = f"background from {levels[0]:.0f} to {levels[-1]:.0f} DN"
+    return f"{rise}, valid in the first {first} of 12, then BLINDED"
 
 
 def bright_object(seen: Seen) -> str:
@@ -179,8 +182,8 @@ def fewer_stars(seen: Seen) -> str:
     assert stars < stars_before - 1
     assert residual > residual_before
     return (
-        f"valid in 12 of 12, {stars:.0f} stars identified (before {stars_before:.0f}), residual {residual:.1f} "
-        f"arcsec (before {residual_before:.1f})"
+        f"valid in 12 of 12, {stars:.0f} stars identified (before {stars_before:.0f}), residual "
+        f"{residual:.1f} arcsec (before {residual_before:.1f})"
     )
 
 
@@ -251,15 +254,13 @@ def torn_still(seen: Seen) -> str:
 
 def torn_turning(seen: Seen) -> str:
     found = frames(seen)
-    seen_by_reason = (
-        count(found, RATE_TOO_HIGH) + count(found, RESIDUAL_TOO_LARGE) + count(found, TOO_FEW_STARS)
-    )
-    assert seen_by_reason >= 2
+    by_reason = [count(found, one) for one in (RATE_TOO_HIGH, RESIDUAL_TOO_LARGE, TOO_FEW_STARS)]
+    assert sum(by_reason) >= 2
     off = [one for one in found if one["valid"] and not _rate_fits(one)]
     assert off, "a valid one whose rate tells that it is not from its own frame"
     return (
-        f"not valid in {len(found) - valid(found)} of 12 (RATE_TOO_HIGH, RESIDUAL_TOO_LARGE); {len(off)} valid ones "
-        "are those of the frame before: their rate is off by more than a tenth"
+        f"not valid in {len(found) - valid(found)} of 12 (RATE_TOO_HIGH, RESIDUAL_TOO_LARGE); {len(off)} "
+        "valid ones are those of the frame before: their rate is off by more than a tenth"
     )
 
 
@@ -273,7 +274,9 @@ EXERCISES = (
     Exercise(
         {"kind": "sensor.false_stars", "number": 100}, false_stars_searched, "searching", meanwhile=acquire
     ),
-    Exercise({"kind": "sensor.false_stars", "number": 100, "places": "fixed"}, false_stars_tracked, "tracking"),
+    Exercise(
+        {"kind": "sensor.false_stars", "number": 100, "places": "fixed"}, false_stars_tracked, "tracking"
+    ),
     Exercise({"kind": "sensor.hot_pixels"}, hot_pixels),
     Exercise({"kind": "sensor.dead_rows", "number": 60}, fewer_stars),
     Exercise({"kind": "sensor.dead_columns", "number": 90}, fewer_stars),

@@ -37,8 +37,8 @@ class FalseStarsSettings(FaultSettings):
     def _in_order(self) -> FalseStarsSettings:
         if self.brightest_mag > self.faintest_mag:
             raise ValueError(
-                f"brightest_mag = {self.brightest_mag:g} is fainter than faintest_mag = {self.faintest_mag:g}; "
-                "allowed is the same magnitude or a smaller one"
+                f"brightest_mag = {self.brightest_mag:g} is fainter than faintest_mag = "
+                f"{self.faintest_mag:g}; allowed is the same magnitude or a smaller one"
             )
         return self
 
