@@ -27,7 +27,7 @@ MAY_REACH: dict[str, tuple[str, ...]] = {
         f"{P}protocol", f"{P}links", f"{P}units", f"{P}naming", f"{P}tai", f"{P}report", *VOCABULARY, *LEAVES,
     ),
     "faults": (
-        f"{P}device", f"{P}firmware_model", f"{P}protocol", f"{P}wire", f"{P}units", *LEAVES,
+        f"{P}device", f"{P}firmware_model", f"{P}protocol", f"{P}wire", f"{P}units", f"{P}world", *LEAVES,
     ),
     "bench": (
         f"{P}device", f"{P}dialects", f"{P}faults", f"{P}firmware_model", f"{P}protocol", f"{P}wire",

@@ -123,6 +123,7 @@ class StarTracker:
         self._setting_time: Running | None = None
         self._acquiring: Running | None = None
         self._going_down = False
+        self._hangs = False
         self._fault_in_boot: FaultCause | None = None
 
     def speak_through(self, speaker: Speaker) -> None:
@@ -154,6 +155,19 @@ class StarTracker:
         if self.mode != Mode.OFF:
             self._boot(ModeEvent.COMMAND_RESET, cause)
 
+    def hang(self, watchdog_ns: int) -> None:
+        """The processor hangs: nothing is sent, taken or processed until the watchdog resets it, so much
+        later. The sensor's frame grid goes on. Nothing where it is off, or hangs already.
+        """
+        if self.mode == Mode.OFF or self._hangs:
+            return
+        self._life += 1
+        self._hangs = True
+        self.imaging.stop()
+        self.imaging.cancel_capture()
+        self._tell(reports.WentOff())
+        self.later(watchdog_ns, partial(self.restart, ResetCause.WATCHDOG))
+
     def later(self, delay_ns: int, action: Callable[[], None]) -> ScheduledEvent:
         """Schedule an action that a reset makes void."""
         life = self._life
@@ -161,7 +175,7 @@ class StarTracker:
 
     def _boot(self, event: ModeEvent, cause: ResetCause, begin: Callable[[], None] = lambda: None) -> None:
         self._life += 1
-        self._going_down = False
+        self._going_down = self._hangs = False
         self._fault_in_boot = None
         self._follow(event)
         begin()
@@ -200,6 +214,7 @@ class StarTracker:
     def _off(self, event: ModeEvent) -> None:
         """Nothing is sent or processed until power is cycled."""
         self._life += 1
+        self._hangs = False
         self._follow(event)
         self._tell(reports.WentOff())
 
@@ -241,19 +256,19 @@ class StarTracker:
 
     @property
     def listening(self) -> bool:
-        """Whether commands are taken: not in BOOT and OFF, nor on the way there."""
-        return self.mode not in SILENT and not self._going_down
+        """Whether commands are taken: not in BOOT and OFF, nor on the way there, nor while it hangs."""
+        return not self.silent and not self._going_down
 
     @property
     def silent(self) -> bool:
-        """Whether nothing is sent: in BOOT and OFF."""
-        return self.mode in SILENT
+        """Whether nothing is sent: in BOOT and OFF, and while it hangs."""
+        return self._hangs or self.mode in SILENT
 
     def enter_fault(self, cause: FaultCause) -> None:
-        """Stop in FAULT; nothing happens where the table does not lead there (FAULT, OFF). From BOOT when the
-        boot is over: nothing is sent or taken before.
+        """Stop in FAULT; nothing happens where the table does not lead there (FAULT, OFF), or while it hangs.
+        From BOOT when the boot is over: nothing is sent or taken before.
         """
-        if transition(self.mode, ModeEvent.FAULT_DETECTED) is None:
+        if self._hangs or transition(self.mode, ModeEvent.FAULT_DETECTED) is None:
             return
         if self.mode == Mode.BOOT:
             self._fault_in_boot = self._fault_in_boot or cause
@@ -396,7 +411,7 @@ class StarTracker:
 
     def frame_started(self, frame_index: int) -> None:
         self.last_frame_index = frame_index
-        if self.mode in SILENT:
+        if self.silent:
             return
         change = self.time.apply(self.clock.now_ns) if self._seams.synchronises() else None
         if change is not None:
@@ -430,7 +445,7 @@ class StarTracker:
     def image_captured(self, record: FrameRecord) -> None:
         if self.self_test.running:
             self.self_test.frame_captured()
-        elif self.mode not in SILENT:
+        elif not self.silent:
             self.image_memory.keep(record, self.time.tai_ns(record.mid_exposure_ns))
 
     def _image_kept(self, image: CapturedImage) -> None:
