@@ -99,8 +99,9 @@ class Exercise:
         bench.broken = []
         end_ms = START_MS + self.lasts_ms
         seen = Seen(bench, START_MS, end_ms, bench.packets, bench.broken)
-        bench.run_to(START_MS)
+        bench.run_to(START_MS - 1)
         assert bench.emulator.device.mode == MODE["TRACKING"], "it does not track before the fault"
+        bench.run_to(START_MS)
         if self.meanwhile is not None:
             self.meanwhile(bench, seen)
         bench.run_to(max(end_ms, bench.now_ms))

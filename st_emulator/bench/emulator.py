@@ -26,6 +26,7 @@ from ..faults.fault import Reach
 from ..faults.faults import Faults
 from ..faults.seams import SeamedSource, SeamedSpeaker, Seams
 from ..faults.store import SeamedStore
+from ..faults.supply import Supply
 from ..firmware_model.image.frame import Frame
 from ..protocol.can.frames import CanFrame
 from ..tai import tai_ns_from_utc
@@ -152,9 +153,9 @@ class Emulator:
         self.dialect = self._dialect()
         self.device.speak_through(SeamedSpeaker(self.dialect, self._seams))
         self.faults = Faults(self._seams, self.seed, self._fault_told, self._fault_done)
+        self._supply = Supply(self.device)
         self.faults.attach(self._reach(), self.scenario.faults, self.scenario.where)
-        if not self.faults.without_power:
-            self.device.power_on()
+        self._supply.begin()
 
     # -- driving it
     # ------------------------------------------------------------------------------------------------
@@ -300,6 +301,7 @@ class Emulator:
             wire="serial" if self.can is None else "can",
             baud=self.baud,
             store=self._store,
+            supply=self._supply,
         )
 
     def _fault_told(self, number: int, kind: str, what: str) -> None:

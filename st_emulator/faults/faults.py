@@ -114,11 +114,6 @@ class Faults:
         """Those that have begun and not ended."""
         return [one for one in self.all if one.active]
 
-    @property
-    def without_power(self) -> bool:
-        """Whether a fault that has begun keeps power away."""
-        return any(one.active and one.fault.without_power for one in self.all)
-
     def _make(self, settings: FaultSettings, where: str) -> Fault[Any]:
         reach = self._reach
         assert reach is not None
@@ -192,7 +187,7 @@ def settings_of(table: Mapping[str, Any], where: str) -> FaultSettings:
     Raises:
         ConfigurationError: names the key and what is allowed.
     """
-    return settings_table(validate(FaultTable, {"fault": dict(table)}, where))
+    return settings_table(validate(FaultTable, {"fault": dict(table)}, where, inside="fault"))
 
 
 def _seed(run_seed: int, number: int) -> int:
