@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from itertools import pairwise
 
 from hil_tests.faults.exercise import Exercise, Seen
 from hil_tests.unit.conftest import MS, Bench, CanBench, Packet
@@ -47,7 +48,7 @@ def drift(seen: Seen) -> str:
     set_ms = error_ms(before[-1])  # what the telecommand took on the line
     assert abs(set_ms) < 50
     gained = [error_ms(one) - set_ms for one in during[1:]]
-    steps = [later - earlier for earlier, later in zip(gained, gained[1:], strict=False)]
+    steps = [later - earlier for earlier, later in pairwise(gained)]
     assert all(abs(step - PERIOD_MS * DRIFT_PPM / 1e6) < 0.001 for step in steps)
     last = [error_ms(one) - set_ms for one in after[1:]]
     assert max(last) - min(last) < 0.001, "the error stays"
@@ -103,8 +104,8 @@ def missed_sync(seen: Seen) -> str:
     right_ms = SET_TO_S * 1e3 + last.fields["frame_index"] * PERIOD_MS + 50 - sent_ms
     assert abs(stamp_ms(last) - right_ms) < 50, "the time it was set to, by when it was sent"
     return (
-        f"accepted and started, time status FREE_RUNNING until the end; completion {late_ms:.0f} ms after it, "
-        "and the time is right"
+        f"accepted and started, time status FREE_RUNNING until the end; completion {late_ms:.0f} ms after "
+        "it, and the time is right"
     )
 
 

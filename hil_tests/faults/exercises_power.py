@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from hil_tests.faults.exercise import Exercise, Seen
 from hil_tests.faults.exercises_memory import checked
 from hil_tests.unit.conftest import MS, Bench
@@ -24,12 +26,12 @@ def boots(seen: Seen) -> list[tuple[float, int]]:
 def silence_ms(seen: Seen) -> float:
     """The longest after the fault's start."""
     times = [seen.start_ms, *(one.t_ns / MS for one in seen.sent if one.t_ns > seen.start_ms * MS)]
-    return max(later - earlier for earlier, later in zip(times, times[1:], strict=False))
+    return max(later - earlier for earlier, later in pairwise(times))
 
 
 def cut(seen: Seen) -> str:
     assert seen.between(seen.start_ms + 10, seen.end_ms + 400) == []
-    ((at_ms, count),) = boots(seen)
+    ((_, count),) = boots(seen)
     assert count == 2
     (packet,) = [one for one in seen.after() if one.fields.get("event_id") == 1]
     assert packet.decoded["sequence_count"] == 0
@@ -48,7 +50,8 @@ def parameter_old(seen: Seen) -> str:
     ((_, count),) = boots(seen)
     assert seen.figures["exposure_us"] == 100_000
     return (
-        f"no report but its first octets; silence for {silence_ms(seen):.0f} ms, BOOT_COMPLETED with boot_count {count}; "
+        f"no report but its first octets; silence for {silence_ms(seen):.0f} ms, BOOT_COMPLETED with boot_count "
+        f"{count}; "
         "exposure_us is the old 100000"
     )
 
@@ -68,7 +71,8 @@ def memory_old(seen: Seen) -> str:
     assert seen.figures["check"] == wire.crc16(bytes(32))
     ((_, count),) = boots(seen)
     return (
-        f"no report but its first octets; silence for {silence_ms(seen):.0f} ms, BOOT_COMPLETED with boot_count {count}; "
+        f"no report but its first octets; silence for {silence_ms(seen):.0f} ms, BOOT_COMPLETED with boot_count "
+        f"{count}; "
         "RAM is empty as after a start"
     )
 
@@ -89,8 +93,8 @@ def download_ends(seen: Seen) -> str:
     assert not [one for one in bench.packets if one.name == "image_last_part"]
     ((_, count),) = boots(seen)
     return (
-        f"{len(parts)} whole parts, the next one is cut off; BOOT_COMPLETED with boot_count {count}, no image "
-        "any more"
+        f"{len(parts)} whole parts, the next one is cut off; BOOT_COMPLETED with boot_count {count}, no "
+        "image any more"
     )
 
 
@@ -113,7 +117,7 @@ def boot_loop(seen: Seen) -> str:
     found = boots(seen)
     counts = [count for _, count in found]
     assert counts == [2, 3, 4]
-    gaps = [later - earlier for (earlier, _), (later, _) in zip(found, found[1:], strict=False)]
+    gaps = [later - earlier for (earlier, _), (later, _) in pairwise(found)]
     assert all(abs(gap - 1000) < 1 for gap in gaps)
     return (
         f"BOOT_COMPLETED {len(counts)} times, {gaps[0]:.0f} ms apart, boot_count {counts[0]} to {counts[-1]}"
@@ -125,8 +129,8 @@ EXERCISES = (
     Exercise(CUT, cut, lasts_ms=1000, reboots=True),
     Exercise(CUT, cut, on_can=True, lasts_ms=1000, reboots=True),
     Exercise(
-        CUT | {"during": "parameter_write", "at_octet": 20, "off_s": 0.5}, parameter_old, "in a parameter write",
-        reboots=True, meanwhile=write_a_parameter,
+        CUT | {"during": "parameter_write", "at_octet": 20, "off_s": 0.5}, parameter_old,
+        "in a parameter write", reboots=True, meanwhile=write_a_parameter,
     ),
     Exercise(
         CUT | {"during": "memory_load", "at_octet": 17, "off_s": 0.5}, memory_old, "in a memory load",

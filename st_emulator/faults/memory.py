@@ -152,7 +152,7 @@ KINDS: Final = (
         obc_sees="Catalogue or program, caught: within 2 s MODE_CHANGED to FAULT and FAULT_ENTERED with "
         "CATALOGUE_DAMAGED or PROGRAM_DAMAGED, no more attitudes; a self-test fails with the same part. Not "
         "caught: no event and a self-test that passes; a star whose direction is another is missing in "
-        "stars_identified or draws the attitude away by arc-seconds; a memory check of the program gives "
+        "stars_identified or draws the attitude away unnoticed; a memory check of the program gives "
         "another check sum than the OBC's own copy. Parameters, caught: nothing until the next start or "
         "self-test; then BOOT_COMPLETED with boot_count 1, PARAMETER_STORE_INVALID with BAD_CHECKSUM and "
         "factory parameters. Not caught: after the next start a parameter (or boot_count) with another "

@@ -55,8 +55,8 @@ class Cut(AtWriting[CutSettings], AtOctets[CutSettings], AtFrames[CutSettings]):
         language = reach.profile.wire.dialect
         if settings.during == "image_download" and language != "pus":
             raise ValueError(
-                f"during: image_download is for the dialect pus, and this unit speaks {language}; allowed are "
-                "parameter_write, memory_load"
+                f"during: image_download is for the dialect pus, and this unit speaks {language}; allowed "
+                "are parameter_write, memory_load"
             )
         self._at_octet = settings.at_octet or 0
         self._fallen = False
