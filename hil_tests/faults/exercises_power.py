@@ -50,8 +50,8 @@ def parameter_old(seen: Seen) -> str:
     ((_, count),) = boots(seen)
     assert seen.figures["exposure_us"] == 100_000
     return (
-        f"no report but its first octets; silence for {silence_ms(seen):.0f} ms, BOOT_COMPLETED with boot_count "
-        f"{count}; "
+        f"no report but its first octets; silence for {silence_ms(seen):.0f} ms, BOOT_COMPLETED with "
+        f"boot_count {count}; "
         "exposure_us is the old 100000"
     )
 
@@ -71,8 +71,8 @@ def memory_old(seen: Seen) -> str:
     assert seen.figures["check"] == wire.crc16(bytes(32))
     ((_, count),) = boots(seen)
     return (
-        f"no report but its first octets; silence for {silence_ms(seen):.0f} ms, BOOT_COMPLETED with boot_count "
-        f"{count}; "
+        f"no report but its first octets; silence for {silence_ms(seen):.0f} ms, BOOT_COMPLETED with "
+        f"boot_count {count}; "
         "RAM is empty as after a start"
     )
 
