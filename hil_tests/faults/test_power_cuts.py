@@ -1,4 +1,4 @@
-"""A power cut at each octet of a parameter write and of a memory load: the old or the new value afterwards."""
+"""A power cut at each octet of a parameter write and of a memory load: then the old or the new value."""
 
 from __future__ import annotations
 
