@@ -64,6 +64,7 @@ class Cut(AtWriting[CutSettings], AtOctets[CutSettings], AtFrames[CutSettings]):
         self._held = False
         self._last_ns = 0
         self._return: ScheduledEvent | None = None
+        self._dark = False  # what was on the wire when power went gets no further
 
     def begin(self) -> None:
         if self.settings.during is None and self.strikes():
@@ -78,9 +79,11 @@ class Cut(AtWriting[CutSettings], AtOctets[CutSettings], AtFrames[CutSettings]):
         self._fallen = True
         self.reach.supply.cut(self)
         off_s = 1.0 if self.settings.off_s is None else self.settings.off_s
-        self._return = self.reach.clock.after(
-            round(off_s * NS_PER_S), lambda: self.reach.supply.restore(self)
-        )
+        self._return = self.reach.clock.after(round(off_s * NS_PER_S), self._rise)
+
+    def _rise(self) -> None:
+        self._dark = False
+        self.reach.supply.restore(self)
 
     # -- while something is written
 
@@ -102,6 +105,8 @@ class Cut(AtWriting[CutSettings], AtOctets[CutSettings], AtFrames[CutSettings]):
 
     def _leave(self, count: int) -> int:
         """So many of ``count`` octets leave before power goes."""
+        if self._dark:
+            return 0
         if self.settings.during != "image_download" or self._fallen:
             return count
         now_ns, held = self.reach.clock.now_ns, self.reach.device.image_memory.held
@@ -116,7 +121,7 @@ class Cut(AtWriting[CutSettings], AtOctets[CutSettings], AtFrames[CutSettings]):
         self._left += count
         if missing > count:
             return count
-        self._fallen = True
+        self._fallen = self._dark = True
         self.reach.clock.after(0, self._fall)  # the wire is in the middle of its work
         return max(missing, 0)
 
