@@ -15,7 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..clock import VirtualClock
+from ..clock import NS_PER_S, VirtualClock
 from ..device.imaging import FrameRecord, FrameSource, Lazy, Submit
 from ..device.star_tracker import StarTracker
 from ..device.store import Store, StoreContents, VolatileStore
@@ -207,6 +207,11 @@ class Emulator:
                 self.faults.inject(content)
             case "clear":
                 self.faults.clear(int(content))
+            case "stand":
+                raise ConfigurationError(
+                    f"journal: at {self.clock.now_ns / NS_PER_S:.9f} s a fault of somebody's own was put in "
+                    f"({content.get('kind')}): only the program that has it can replay this run"
+                )
             case _:
                 raise ConfigurationError(f"journal: {what}: nothing that is done to a run")
 

@@ -69,6 +69,12 @@ def validate(model: type[Model], data: Any, where: str, *, inside: str = "") -> 
     return made
 
 
+def allowed_values(model: type[BaseModel]) -> dict[str, str]:
+    """What each key of a table may be, in the words of the errors; ``none`` where it may be left out."""
+    schema = model.model_json_schema(by_alias=True)
+    return {key: _allowed(schema, _resolved(schema, node)) for key, node in schema["properties"].items()}
+
+
 def _problem(schema: Schema, data: Any, error: dict[str, Any]) -> str:
     location: tuple[int | str, ...] = error["loc"]
     kind, found = error["type"], error["input"]
