@@ -93,7 +93,7 @@ def download_ends(seen: Seen) -> str:
     assert not [one for one in bench.packets if one.name == "image_last_part"]
     ((_, count),) = boots(seen)
     return (
-        f"{len(parts)} whole parts, the next one is cut off; BOOT_COMPLETED with boot_count {count}, no "
+        f"whole parts: {len(parts)}; the next one is cut off; BOOT_COMPLETED with boot_count {count}, no "
         "image any more"
     )
 
