@@ -27,6 +27,7 @@ from ..faults.fault import Reach
 from ..faults.faults import Faults
 from ..faults.seams import SeamedSource, SeamedSpeaker, Seams
 from ..faults.store import SeamedStore
+from ..faults.supply import Supply
 from ..firmware_model.image.frame import Frame
 from ..protocol.can.frames import CanFrame
 from ..tai import tai_ns_from_utc
@@ -181,9 +182,9 @@ class Emulator:
         self.dialect = self._dialect()
         self.device.speak_through(SeamedSpeaker(self.dialect, self._seams))
         self.faults = Faults(self._seams, self.seed, self._fault_told, self._fault_done)
+        self._supply = Supply(self.device)
         self.faults.attach(self._reach(), self.scenario.faults, self.scenario.where)
-        if not self.faults.without_power:
-            self.device.power_on()
+        self._supply.begin()
 
     # -- driving it
     # ------------------------------------------------------------------------------------------------
@@ -245,6 +246,11 @@ class Emulator:
                     self.trajectory.add(TruthSample.of(content))
                 except ValueError as error:
                     raise ConfigurationError(f"journal: truth: {error}") from error
+            case "stand":
+                raise ConfigurationError(
+                    f"journal: at {self.clock.now_ns / NS_PER_S:.9f} s a fault of somebody's own was put in "
+                    f"({content.get('kind')}): only the program that has it can replay this run"
+                )
             case _:
                 raise ConfigurationError(f"journal: {what}: nothing that is done to a run like this")
 
@@ -379,6 +385,7 @@ class Emulator:
             baud=self.baud,
             store=self._store,
             can=self.can,
+            supply=self._supply,
         )
 
     def _fault_told(self, number: int, kind: str, what: str) -> None:

@@ -4,9 +4,9 @@ First line: what was run (format, unit file, scenario, seed, stored parameters),
 replayed alone. Then one line a group of bytes: ``{"t_ns": 1234, "rx": "c0..."}`` when the OBC's bytes were
 put on the line, ``"tx"`` when the unit's last bit of the group has left. On a CAN bus a group is the record
 of a frame (see ``protocol.can.frames``); ``"refused"`` is one that the link did not take. What somebody did
-to the run from outside stands there as well: ``"inject"`` is a fault that was put in live, ``"clear"`` the
-number of one that was ended so, ``"truth"`` a sample of the true attitude. ``"note"`` is for people. It holds
-virtual times only: the same run gives the same file at any speed.
+to the run from outside stands there as well: ``"inject"`` is a fault that was put in live, ``"stand"`` one of
+somebody's own, ``"clear"`` the number of one that was ended so, ``"truth"`` a sample of the true attitude.
+``"note"`` is for people. It holds virtual times only: the same run gives the same file at any speed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..errors import ConfigurationError
 
 FORMAT = "st-emulator journal 1"
 DIRECTIONS = ("rx", "tx", "refused")
-DOINGS = ("inject", "clear", "truth")
+DOINGS = ("inject", "stand", "clear", "truth")
 
 
 class TextSink(Protocol):
@@ -45,8 +45,8 @@ class JournalEntry:
 
 @dataclass(frozen=True)
 class JournalDoing:
-    """Something done to the run from outside: ``what`` is "inject" (a fault's settings), "clear" (its number)
-    or "truth" (a sample of the true attitude).
+    """Something done to the run from outside: ``what`` is "inject" or "stand" (a fault's settings), "clear"
+    (its number) or "truth" (a sample of the true attitude).
     """
 
     t_ns: int

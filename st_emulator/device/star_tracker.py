@@ -197,7 +197,10 @@ class StarTracker:
         self._health.reset()
         self.time.discard_pending()
         self._started_ns = self.clock.now_ns
+        life = self._life
         self.parameters.load(count_start=True)
+        if self._life != life:
+            return  # power went while the start was being counted
         self.later(self.profile.timing.boot_ms * NS_PER_MS, self._boot_done)
 
     def _boot_done(self) -> None:
@@ -413,7 +416,9 @@ class StarTracker:
         self.last_frame_index = frame_index
         if self.silent:
             return
-        change = self.time.apply(self.clock.now_ns) if self._seams.synchronises() else None
+        change = None
+        if self.time.waiting and self._seams.synchronises():
+            change = self.time.apply(self.clock.now_ns)
         if change is not None:
             self._tell(reports.TimeSet(*change))
             running, self._setting_time = self._setting_time, None

@@ -27,6 +27,7 @@ from ..wire.can.controller import BusError
 from ..wire.can.wiring import CanWiring
 from ..wire.seam import Forward
 from .store import SeamedStore
+from .supply import Supply
 
 Seconds = Annotated[float, Field(ge=0, le=10**9)]
 Wire = Literal["serial", "can"]
@@ -76,8 +77,8 @@ class Reach:
     """What a fault may lay its hands on.
 
     ``to_obc`` and ``to_unit`` put octets of the line, or the record of a CAN frame, on the link beyond the
-    seams: as somebody on the wire would. ``store``: the non-volatile memory. ``can``: how the unit is on its
-    bus.
+    seams: as somebody on the wire would. ``store``: the non-volatile memory. ``supply``: its power. ``can``:
+    how the unit is on its bus.
     """
 
     clock: VirtualClock
@@ -88,6 +89,7 @@ class Reach:
     wire: Wire
     baud: int
     store: SeamedStore
+    supply: Supply
     can: CanWiring | None = None
 
 
@@ -97,12 +99,10 @@ SettingsT = TypeVar("SettingsT", bound=FaultSettings)
 class Fault(Generic[SettingsT]):
     """One fault of a run. Subclasses stand at seams by the classes below.
 
-    ``instant``: it is over when it has begun (it did what it does). ``without_power``: one that is there from
-    the start keeps power away.
+    ``instant``: it is over when it has begun (it did what it does).
     """
 
     instant: ClassVar[bool] = False
-    without_power: ClassVar[bool] = False
 
     def __init__(self, settings: SettingsT, reach: Reach, seed: int) -> None:
         self.settings = settings

@@ -11,7 +11,7 @@ from ..clock import ScheduledEvent
 from ..errors import ConfigurationError
 from ..units.validation import validate
 from .catalogue import FAULTS, FaultTable, settings_table
-from .fault import Fault, FaultSettings, Reach
+from .fault import Fault, FaultSettings, Reach, SettingsT
 from .seams import Seams
 
 MOST_FAULTS = 1_000_000
@@ -47,7 +47,8 @@ class Faults:
         seams: of the run.
         seed: of the run; a fault without its own takes it with its number.
         told: called when a fault begins or ends, with its number, its kind and what happens.
-        done: called with what is done to the run from outside: "inject" and settings, "clear" and a number.
+        done: called with what is done to the run from outside: "inject" and settings, "stand" and those of a
+            fault of one's own, "clear" and a number.
     """
 
     def __init__(
@@ -87,6 +88,30 @@ class Faults:
         self._put_in(settings, fault_made)
         return number
 
+    @property
+    def reach(self) -> Reach:
+        """What a fault of this run may lay its hands on."""
+        assert self._reach is not None
+        return self._reach
+
+    def stand(self, make: Callable[[SettingsT, Reach, int], Fault[SettingsT]], settings: SettingsT) -> int:
+        """Put in a fault of one's own: ``make(settings, reach, seed)`` makes it, its class as a rule. Its
+        kind is a name that the list does not have. Returns its number.
+
+        A journal of the run says that it stood, and cannot stand it again.
+
+        Raises:
+            ConfigurationError: the kind is one of the list, or there are too many faults.
+        """
+        where = f"fault of one's own {settings.kind!r}"
+        if settings.kind in FAULTS:
+            raise ConfigurationError(f"{where}: the list has such a kind; allowed is any other name")
+        number = len(self.all)
+        fault = make(settings, self.reach, self._seed_of(settings, where))
+        self._done("stand", settings.model_dump(mode="json", exclude_defaults=True) | {"kind": settings.kind})
+        self._put_in(settings, fault)
+        return number
+
     def clear(self, number: int) -> None:
         """End a fault now, or before it begins.
 
@@ -114,11 +139,6 @@ class Faults:
         """Those that have begun and not ended."""
         return [one for one in self.all if one.active]
 
-    @property
-    def without_power(self) -> bool:
-        """Whether a fault that has begun keeps power away."""
-        return any(one.active and one.fault.without_power for one in self.all)
-
     def _make(self, settings: FaultSettings, where: str) -> Fault[Any]:
         reach = self._reach
         assert reach is not None
@@ -136,14 +156,17 @@ class Faults:
             raise ConfigurationError(
                 f"{where}: {kind.name} {spoken}; allowed are {', '.join(_allowed_on(reach))}"
             )
-        if len(self.all) >= MOST_FAULTS:
-            raise ConfigurationError(f"{where}: more than {MOST_FAULTS} faults in one run")
-        number = len(self.all)
-        seed = _seed(self._seed, number) if settings.seed is None else settings.seed
+        seed = self._seed_of(settings, where)
         try:
             return kind.make(settings, reach, seed)
         except ValueError as error:
             raise ConfigurationError(f"{where}: {kind.name}: {error}") from error
+
+    def _seed_of(self, settings: FaultSettings, where: str) -> int:
+        number = len(self.all)
+        if number >= MOST_FAULTS:
+            raise ConfigurationError(f"{where}: more than {MOST_FAULTS} faults in one run")
+        return _seed(self._seed, number) if settings.seed is None else settings.seed
 
     def _put_in(self, settings: FaultSettings, fault: Fault[Any]) -> None:
         reach = self._reach
@@ -190,7 +213,7 @@ def settings_of(table: Mapping[str, Any], where: str) -> FaultSettings:
     Raises:
         ConfigurationError: names the key and what is allowed.
     """
-    return settings_table(validate(FaultTable, {"fault": dict(table)}, where))
+    return settings_table(validate(FaultTable, {"fault": dict(table)}, where, inside="fault"))
 
 
 def _seed(run_seed: int, number: int) -> int:

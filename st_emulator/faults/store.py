@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import zlib
+from collections.abc import Callable
 from typing import Protocol
 
 from ..device.store import Store, StoreContents
 from ..firmware_model.causes import StoreInvalidCause
 
 CHECK_OCTETS = 4
+STORE_OCTETS = 2048  # ASSUMED: as the memory that service 6 shows; what is not written is zero
+
+Fits = Callable[[str, float | int], bool]
 
 
 class Written(Protocol):
@@ -39,6 +43,38 @@ def contents_of(image: bytes, *, checked: bool = True) -> StoreContents | None:
         return None
 
 
+def checked_again(image: bytes) -> bytes:
+    """The image with a check sum that agrees with what stands there."""
+    body = image[:-CHECK_OCTETS]
+    return body + zlib.crc32(body).to_bytes(CHECK_OCTETS, "big")
+
+
+def with_upset(image: bytes, address: int, bit: int) -> bytes:
+    """One bit is another; none of an image's when the address is behind it."""
+    if address >= len(image):
+        return image
+    changed = bytearray(image)
+    changed[address] ^= 1 << bit
+    return bytes(changed)
+
+
+def unseen_upsets(image: bytes, address: int, fits: Fits) -> list[int]:
+    """The bits of an octet that no check finds when the check sum was computed behind them: what stands there
+    then can be read, fits, and says something else.
+    """
+    before = contents_of(image)
+    found = []
+    for bit in range(8):
+        after = contents_of(checked_again(with_upset(image, address, bit)))
+        if after is not None and after != before and _fit(after, fits):
+            found.append(bit)
+    return found
+
+
+def _fit(contents: StoreContents, fits: Fits) -> bool:
+    return contents.boot_count >= 0 and all(fits(*item) for item in contents.parameters.items())
+
+
 class SeamedStore:
     """A store whose octets can be cut off and changed.
 
@@ -49,13 +85,9 @@ class SeamedStore:
     def __init__(self, store: Store, seam: Written) -> None:
         self._store = store
         self._seam = seam
-        self._spoilt: StoreInvalidCause | None = None
 
     def load(self) -> tuple[StoreContents, StoreInvalidCause | None]:
-        contents, fault = self._store.load()
-        if self._spoilt is not None and fault is None:
-            return StoreContents(), self._spoilt
-        return contents, fault
+        return self._store.load()
 
     def save(self, contents: StoreContents) -> None:
         image = image_of(contents)
@@ -63,15 +95,34 @@ class SeamedStore:
         if len(standing) < len(image):
             return  # the bank before is still the one in force
         if standing == image:
-            self._spoilt = None
             self._store.save(contents)
-            return
-        self._lies_there(standing)
-
-    def _lies_there(self, image: bytes) -> None:
-        altered = contents_of(image)
-        if altered is None:
-            self._spoilt = StoreInvalidCause.BAD_CHECKSUM
         else:
-            self._spoilt = None
+            self._stands_there(standing)
+
+    def spoil(self, cause: StoreInvalidCause) -> None:
+        self._store.spoil(cause)
+
+    def image(self) -> bytes | None:
+        """What lies in the memory; None when it can be read no more."""
+        contents, fault = self._store.load()
+        return None if fault is not None else image_of(contents)
+
+    def upset(self, address: int, bit: int, *, caught: bool) -> None:
+        """One bit of what lies there is another. ``caught``: the check sum does not agree; else it was
+        computed behind the upset. Nothing where nothing can be read, or behind it.
+        """
+        image = self.image()
+        if image is None or address >= len(image):
+            return
+        changed = with_upset(image, address, bit)
+        self._stands_there(changed if caught else checked_again(changed))
+
+    def _stands_there(self, image: bytes) -> None:
+        body, check = image[:-CHECK_OCTETS], image[-CHECK_OCTETS:]
+        altered = contents_of(image)
+        if altered is not None:
             self._store.save(altered)
+        elif zlib.crc32(body).to_bytes(CHECK_OCTETS, "big") != check:
+            self._store.spoil(StoreInvalidCause.BAD_CHECKSUM)
+        else:
+            self._store.spoil(StoreInvalidCause.TRUNCATED)
