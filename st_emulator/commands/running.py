@@ -17,15 +17,18 @@ from rich.markup import escape
 from ..bench.emulator import Emulator
 from ..bench.scenario import Scenario, load_scenario
 from ..bench.scenario_inputs import check_inputs
+from ..bench.supervision import FrameTimes, Supervision, answers_of
 from ..clock import NS_PER_S
 from ..device.imaging import Lazy
 from ..device.store import FileStore, Store, VolatileStore
 from ..dialects.registry import dialect_of, require_wire, with_dialect
+from ..drivers.control import ControlSocket
 from ..drivers.realtime import FrameWorker, StopSignal, run_paced, run_unpaced
 from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
 from ..links import Link, LinkSpecification, open_link, parse_link
 from ..units.profile import UnitProfile, load_unit
+from ..units.validation import validate
 from ..wire.can.wiring import CanWiring
 from ..world.recorded import RecordedFrames
 from .output_file import OutputFile
@@ -50,6 +53,7 @@ class RunOptions:
     seconds: float | None = None
     store: str | None = None
     quiet: bool = False
+    control: int | None = None
 
 
 def state_folder() -> Path:
@@ -162,6 +166,10 @@ def run_unit(options: RunOptions) -> None:
             f"--speed {options.speed} with --link {link_text}: a live OBC keeps its own time, so only "
             "--speed 1 is allowed; use --link none (telecommands from the scenario) for other speeds"
         )
+    if options.control is not None and speed == math.inf:
+        raise ConfigurationError(
+            f"--control {options.control}: allowed is a unit that keeps time, not --speed max"
+        )
     if options.node is not None and specification.kind != "can":
         raise ConfigurationError(f"--node {options.node}: only with --link can:...; {link_text} has no nodes")
     profile = with_dialect(load_unit(options.unit), options.dialect)
@@ -183,6 +191,9 @@ def run_unit(options: RunOptions) -> None:
     with contextlib.ExitStack() as stack:
         stack.callback(stop.close)
         stack.enter_context(stop.installed())
+        control = None if options.control is None else ControlSocket(options.control)
+        if control is not None:
+            stack.callback(control.close)
         store, store_text = open_store(stack, options, profile, live)
         link = stack.enter_context(
             open_link(specification, "unit", profile.wire.baud, profile.name, profile.can.bitrate)
@@ -196,7 +207,15 @@ def run_unit(options: RunOptions) -> None:
         except KeyboardInterrupt:
             console.print("stopped before power-on")
             return
-        if options.scenario is None:
+        request = None
+        if control is not None:
+            control.ready(link=link.name)
+            request = control.await_first("begin")
+            if request is None:
+                return
+        if request is not None and (given := request.get("with", {}).get("scenario")) is not None:
+            scenario = validate(Scenario, given, "--control: scenario")
+        elif options.scenario is None:
             scenario = scenario_of(options, live)  # power comes on now
         worker = FrameWorker() if speed != math.inf else None
         if worker is not None:
@@ -206,6 +225,7 @@ def run_unit(options: RunOptions) -> None:
             written = link.write(data)
             return None if specification.kind == "none" else written  # without a link nothing is refused
 
+        times = FrameTimes()
         emulator = Emulator(
             profile,
             scenario,
@@ -220,7 +240,11 @@ def run_unit(options: RunOptions) -> None:
             pace_reception=specification.kind != "serial",
             baud=specification.baud,
             can=wiring_of(profile, specification, link, options.node),
+            on_completed=times.completed,
         )
+        if control is not None and request is not None:
+            control.serve(answers_of(Supervision(emulator, times)))
+            control.answer(request)
         _announce(console, emulator, link, options, store_text, duration_s)
         until_ns = None if duration_s is None else round(duration_s * NS_PER_S)
         try:
@@ -235,6 +259,7 @@ def run_unit(options: RunOptions) -> None:
                     speed=speed,
                     until_ns=until_ns,
                     on_wait=_Watch(emulator, console),
+                    beside=control,
                 )
         finally:
             emulator.close()

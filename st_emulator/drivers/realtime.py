@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol
 
 from ..bench.emulator import Emulator
 from ..clock import NS_PER_S
@@ -175,6 +175,14 @@ class Pace:
         return True
 
 
+class Beside(Protocol):
+    """Who is attended to between two events: ``fileno`` becomes readable when there is something to do."""
+
+    def fileno(self) -> int: ...
+
+    def attend(self) -> None: ...
+
+
 def run_paced(
     emulator: Emulator,
     link: Link,
@@ -183,10 +191,12 @@ def run_paced(
     speed: float = 1.0,
     until_ns: int | None = None,
     on_wait: Callable[[], None] = lambda: None,
+    beside: Beside | None = None,
 ) -> None:
     """Run at ``speed`` times real time until ``until_ns`` (virtual) or a signal.
 
-    ``on_wait`` is called about twice a second when nothing is due (progress, flushing of files).
+    ``on_wait`` is called about twice a second when nothing is due (progress, flushing of files); ``beside``
+    is attended to at the present time when it asks for it.
     """
     descriptor = link.fileno()
     pace = Pace(speed)
@@ -212,8 +222,12 @@ def run_paced(
                 on_wait()
                 continue
             wait_s = min(max(wait_s, 0.0), LONGEST_WAIT_S if descriptor is not None else POLL_S)
-            waited_for: list[Any] = [stop] if descriptor is None else [stop, descriptor]
+            waited_for: list[Any] = [item for item in (stop, descriptor, beside) if item is not None]
             ready, _, _ = select.select(waited_for, [], [], wait_s)
+            if beside is not None and beside in ready:
+                if not pace.held_up(emulator):
+                    emulator.advance(pace.now_ns())
+                beside.attend()
             if descriptor is None or descriptor in ready:
                 data = link.read()
                 if data:

@@ -1,0 +1,297 @@
+"""Units in processes of their own, in real time, on a pseudo-terminal or a CAN bus that others may use too.
+
+Such a process ends when the test run does, however that ends: it holds one end of a socket pair, and its link
+goes with it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import ConfigurationError
+from ..links import Link, open_link
+from .errors import UnitDiedError
+from .star_tracker import StarTracker
+
+if TYPE_CHECKING:
+    from ..bench.scenario import Scenario
+    from ..obc import Obc
+    from ..units.profile import UnitProfile
+    from .bench import Bench
+    from .settings import UnitSettings
+
+PATIENCE_S = 300.0
+"""Only bounds a hang: on a new computer the kernels are compiled first."""
+ENDING_S = 20.0
+NODES = range(1, 128)
+SAID_LINES = 20
+_numbers = itertools.count(1)
+_taken: set[Path] = set()  # link paths of this process
+
+
+class UnitProcess:
+    """``st-emulator run ... --control``: asked by lines of JSON. One thread may ask at a time.
+
+    Raises:
+        UnitDiedError: it has ended; the message says what it said.
+    """
+
+    def __init__(self, arguments: list[str]) -> None:
+        ours, theirs = socket.socketpair()
+        package = Path(__file__).parents[2]
+        path = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
+        with theirs:
+            self.process = subprocess.Popen(
+                [
+                    sys.executable, "-m", "st_emulator", "run", *arguments,
+                    "--control", str(theirs.fileno()),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                pass_fds=[theirs.fileno()],
+                env=os.environ | {"PYTHONPATH": path},
+                text=True,
+            )  # fmt: skip
+        self._socket = ours
+        ours.settimeout(PATIENCE_S)
+        self._lines = ours.makefile("rb")
+        self._said: deque[str] = deque(maxlen=SAID_LINES)
+        self._reader = threading.Thread(target=self._read_said, daemon=True)
+        self._reader.start()
+        self._ids = itertools.count(1)
+
+    def await_ready(self) -> None:
+        """Return when all is loaded and the link is open."""
+        self._next()
+
+    def ask(self, what: str, **arguments: Any) -> Any:
+        """What it answers.
+
+        Raises:
+            ConfigurationError: it refused; one line says why.
+        """
+        number = next(self._ids)
+        request = {"id": number, "do": what, "with": arguments}
+        try:
+            self._socket.sendall(json.dumps(request).encode() + b"\n")
+        except OSError:
+            self.check()
+            raise
+        while (answer := self._next()).get("id") != number:
+            pass
+        if "error" in answer:
+            raise ConfigurationError(answer["error"])
+        return answer["result"]
+
+    def check(self) -> None:
+        """See that it is alive."""
+        if self.process.poll() is not None:
+            self._reader.join(ENDING_S)
+            raise UnitDiedError(
+                f"the unit ended with exit status {self.process.returncode}: "
+                + (" | ".join(self._said) or "it said nothing")
+            )
+
+    def close(self) -> None:
+        """Let it end, and wait until its link is gone."""
+        self._lines.close()
+        self._socket.close()
+        try:
+            self.process.wait(ENDING_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self._reader.join(ENDING_S)
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+
+    def _next(self) -> dict[str, Any]:
+        line = self._lines.readline()
+        if not line:
+            self.process.wait(ENDING_S)
+            self.check()
+        found: dict[str, Any] = json.loads(line)
+        return found
+
+    def _read_said(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self._said.append(line.strip())
+
+
+class _Asked:
+    """Supervision over the descriptor."""
+
+    def __init__(self, process: UnitProcess) -> None:
+        self._process = process
+
+    def mode(self) -> str:
+        return str(self._process.ask("mode"))
+
+    def truth(self, frame_index: int | None) -> dict[str, Any]:
+        found: dict[str, Any] = self._process.ask("truth", frame_index=frame_index)
+        return found
+
+    def inject(self, fault: Mapping[str, Any]) -> int:
+        return int(self._process.ask("inject", fault=dict(fault)))
+
+    def clear(self, number: int) -> None:
+        self._process.ask("clear", number=number)
+
+    def active(self) -> list[Any]:
+        return list(self._process.ask("active"))
+
+    def power_on(self) -> None:
+        self._process.ask("power_on")
+
+    def power_off(self) -> None:
+        self._process.ask("power_off")
+
+    def flush(self) -> None:
+        self._process.ask("flush")
+
+
+class ClaimedNode:
+    """A node number of a CAN bus that no other test on this computer uses: an abstract socket's name, which
+    the kernel gives free when its holder dies, and which is no file.
+
+    ``wanted``: this one; None: the first that is free, from ``first`` on.
+    """
+
+    def __init__(self, channel: str, wanted: int | None, first: int) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        candidates = [wanted] if wanted is not None else [*range(first, NODES.stop), *range(1, first)]
+        for number in candidates:
+            try:
+                self._socket.bind(f"\0st-emulator/{channel}/{number}")
+            except OSError:
+                continue
+            self.number = number
+            return
+        self._socket.close()
+        raise ConfigurationError(
+            f"node {wanted} of {channel}: another test uses it; allowed is a free one (leave it out)"
+            if wanted is not None
+            else f"{channel}: all node numbers are in use"
+        )
+
+    def close(self) -> None:
+        """Give it free."""
+        self._socket.close()
+
+
+class SpawnedStarTracker(StarTracker):
+    """A unit that was started for the test."""
+
+    def __init__(
+        self,
+        profile: UnitProfile,
+        settings: UnitSettings,
+        scenario: Scenario | None,
+        bench: Bench,
+        journal: Path | None,
+    ) -> None:
+        specification = settings.link.specification
+        assert specification is not None
+        self._claimed: ClaimedNode | None = None
+        self._path: Path | None = None
+        node = None
+        link = str(specification)
+        if specification.kind == "can":
+            channel = f"{specification.interface}/{specification.path}"
+            self._claimed = ClaimedNode(channel, settings.node, profile.can.node)
+            node = self._claimed.number
+        elif specification.kind == "pty":
+            self._path = pty_path(specification.path, profile.name)
+            _taken.add(self._path)
+            link = f"pty:{self._path}"
+        super().__init__(profile, link, node, bench)
+        self._listen = bench.listen
+        self.journal = journal
+        self._scenario = scenario
+        self._begun = False
+        arguments = [settings.unit, "--link", link, "--store", "none"]
+        if settings.dialect is not None:
+            arguments += ["--dialect", settings.dialect]
+        if node is not None:
+            arguments += ["--node", str(node)]
+        if journal is not None:
+            journal.parent.mkdir(parents=True, exist_ok=True)
+            arguments += ["--journal", str(journal)]
+        self.process = UnitProcess(arguments)
+        self.supervised = _Asked(self.process)
+        try:
+            self.process.await_ready()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def mode(self) -> str:
+        """The name of its mode; OFF as well before power comes on."""
+        return self.supervised.mode() if self._begun else "OFF"
+
+    def power_on(self) -> None:
+        """Let power come on; it boots."""
+        if self._begun:
+            self.supervised.power_on()
+            return
+        table = None
+        if self._scenario is not None:
+            table = self._scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)
+            table.setdefault("start_utc", datetime.now(UTC).isoformat())  # its OBC keeps the computer's time
+        self.process.ask("begin", scenario=table)
+        self._begun = True
+
+    def power_off(self) -> None:
+        """Cut the power: it falls silent at once."""
+        if self._begun:
+            self.supervised.power_off()
+
+    def close(self) -> None:
+        """Its process ends, its link goes."""
+        super().close()
+        self.process.close()
+        if self._claimed is not None:
+            self._claimed.close()
+        if self._path is not None:
+            _taken.discard(self._path)
+
+    def _make_obc(self) -> Obc:
+        from .obc_end import connected
+
+        return connected(self.link, self.profile, self.node, self._listen)
+
+    def _make_line(self) -> Link:
+        return open_link(self.link, "obc", self.profile.wire.baud, self.name, self.profile.can.bitrate)
+
+
+def pty_path(wanted: str | None, name: str) -> Path:
+    """A link path of this unit alone: in the user's runtime folder; or the one that was ``wanted``, with a
+    suffix for another worker and for another unit at the same time.
+    """
+    if wanted is None:
+        from ..links.pty import runtime_folder
+
+        folder = runtime_folder() / "tests"  # apart from those that `st-emulator obc` finds by itself
+        folder.mkdir(mode=0o700, exist_ok=True)
+        return folder / f"{name}-{os.getpid()}-{next(_numbers)}"
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    for number in itertools.count(1):
+        suffix = "-".join(filter(None, (worker, "" if number == 1 else str(number))))
+        path = Path(f"{Path(wanted).expanduser().absolute()}{'-' + suffix if suffix else ''}")
+        if path not in _taken:
+            return path
+    raise AssertionError
