@@ -27,8 +27,8 @@ OPTIONS = {
         "LINK",
         "Where the unit is. In this process, in virtual time: memory (the default; a serial line), "
         "memory:can, memory:can,fd. Started for each test, in real time: pty, pty:PATH, "
-        "can:socketcan/vcan0[,fd]. There already, as hardware is: serial:/dev/ttyUSB0[@BAUD], can:socketcan/can0[@BITRATE][,fd], "
-        "can:slcan/dev/ttyACM0.",
+        "can:socketcan/vcan0[,fd]. There already, as hardware is: serial:/dev/ttyUSB0[@BAUD], "
+        "can:socketcan/can0[@BITRATE][,fd], can:slcan/dev/ttyACM0.",
     ),
     "speed": (
         "virtual|N",
@@ -45,14 +45,14 @@ OPTIONS = {
 MARKERS = (
     "st_scenario(file, **keys): the world of the test's unit: a scenario file, beside the test's or from the "
     'root folder, and/or keys of one: st_scenario("slew.toml", seed=3), '
-    'st_scenario(parameters={"exposure_us": 50000}). A marker nearer to the test adds to and replaces what others '
-    "say. Left out on hardware.",
+    'st_scenario(parameters={"exposure_us": 50000}). A marker nearer to the test adds to and replaces what '
+    "others say. Left out on hardware.",
     "st_fault(kind, **settings): a fault of the test's unit from power-on, or by its start_s, end_s or "
-    'duration_s; several may stand: st_fault("bits_flipped", probability=1e-4, duration_s=5). `st-emulator faults` lists '
-    "kinds and settings. Left out on hardware.",
+    'duration_s; several may stand: st_fault("bits_flipped", probability=1e-4, duration_s=5). `st-emulator '
+    "faults` lists kinds and settings. Left out on hardware.",
     "st_unit(name, dialect=None, node=None): the unit of the test, whatever --st-unit says.",
-    "st_link(link): the kind of link that the test needs, as --st-link takes it. Hardware of that kind will "
-    "do; on other hardware the test is left out.",
+    "st_link(link): the link that the test needs, as --st-link takes it, or any of a kind: can, serial. "
+    "Hardware of that kind will do; on other hardware the test is left out.",
     "st_speed(speed): virtual, or at most so many times real time, whatever --st-speed says.",
     "st_off: power has not come on when the test begins; star_tracker.power_on() lets it.",
 )
@@ -112,6 +112,7 @@ def settings_of(item: pytest.Item) -> UnitSettings:
     from .testing.settings import (
         DEFAULT_UNIT,
         UnitSettings,
+        marked_link,
         node_number,
         parse_bench_link,
         parse_bench_speed,
@@ -123,7 +124,7 @@ def settings_of(item: pytest.Item) -> UnitSettings:
     link = parse_bench_link(_given(config, "link") or "memory", present)
     speed = _given(config, "speed")
     if (marker := item.get_closest_marker("st_link")) is not None and link.place != "there":
-        link = parse_bench_link(str(marker.args[0]), present)
+        link = marked_link(str(marker.args[0]), link, present)
         speed = speed if link.place == "memory" else ""
     if (marker := item.get_closest_marker("st_speed")) is not None and link.place != "there":
         speed = str(marker.args[0])
@@ -175,13 +176,10 @@ def missing_of(item: pytest.Item, settings: UnitSettings) -> str | None:
         if item.get_closest_marker(name) is not None:
             return need
     if (marker := item.get_closest_marker("st_link")) is not None:
-        from .testing.settings import parse_bench_link
+        from .testing.settings import lacking
 
-        wanted = parse_bench_link(str(marker.args[0]))
-        if wanted.specification is None:
-            return "virtual time"
-        if wanted.can != settings.link.can:
-            return wanted.medium
+        if (need := lacking(str(marker.args[0]), settings.link)) is not None:
+            return need
     if (marker := item.get_closest_marker("st_speed")) is not None and str(marker.args[0]) != "1":
         return "virtual time"
     return None

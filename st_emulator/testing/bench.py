@@ -9,7 +9,6 @@ from typing import Any
 
 from ..dialects.registry import require_wire, with_dialect
 from ..errors import ConfigurationError
-from ..obc.reading import LiveReader
 from ..units.profile import UnitProfile, load_unit
 from ..wire.can.wiring import CanWiring
 from .clock import BenchClock, RealBenchClock, VirtualBenchClock
@@ -63,8 +62,8 @@ class Bench(Expectations):
         vain, for somebody to take each of its packets; ``.obc`` joins one at any time.
 
         Units in memory with ``link="memory:can"`` share a CAN bus, each with its own ``node``; with
-        ``memory`` each has a line. Further ``arguments`` go to the emulator (``seed``, ``store``, ``frames``, ...), of
-        units in memory alone.
+        ``memory`` each has a line. Further ``arguments`` go to the emulator (``seed``, ``store``,
+        ``frames``, ...), of units in memory alone.
 
         Raises:
             ConfigurationError: no such unit, node, link or scenario; one line that says what is allowed.
@@ -139,11 +138,6 @@ class Bench(Expectations):
         self._stack.callback(made.close)
         self.units.append(made)
         return made
-
-    def listen(self, reader: LiveReader) -> None:
-        """An OBC in real time has joined."""
-        if isinstance(self.clock, RealBenchClock):
-            self.clock.listen(reader)
 
     def state(self) -> str:
         """What the units are doing, for a person."""

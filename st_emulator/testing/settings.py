@@ -16,6 +16,8 @@ LINK_FORMS = (
     "memory, memory:can, memory:can,fd, pty, pty:PATH, serial:DEVICE[@BAUD] or "
     "can:INTERFACE/CHANNEL[@BITRATE][,fd]"
 )
+ANY_LINK = {"can": "memory:can", "serial": "memory"}
+"""What a marker may name instead of a link, and the link in memory of that kind."""
 Place = Literal["memory", "process", "there"]
 """Where a unit is: in this process, in one that is started for it, or there already (hardware)."""
 
@@ -33,13 +35,6 @@ class BenchLink:
     specification: LinkSpecification | None
     can: bool
     fd: bool
-
-    @property
-    def medium(self) -> str:
-        """For people: what kind of link it is."""
-        if self.specification is None:
-            return "memory"
-        return "a CAN bus" if self.can else "a serial line"
 
 
 def parse_bench_link(text: str, present: bool = False) -> BenchLink:
@@ -65,6 +60,35 @@ def parse_bench_link(text: str, present: bool = False) -> BenchLink:
     there = present or specification.kind == "serial" or _is_controller(specification)
     place: Place = "there" if there else "process"
     return BenchLink(text, place, specification, specification.kind == "can", specification.fd)
+
+
+def marked_link(text: str, given: BenchLink, present: bool = False) -> BenchLink:
+    """The link of a test that is marked with ``st_link``, where the run as a whole is on ``given``.
+
+    ``can`` and ``serial`` mean any of that kind: the given one if it is, else one in memory. Hardware stays
+    what it is: see :func:`lacking`.
+
+    Raises:
+        ConfigurationError: no link.
+    """
+    if given.place == "there":
+        return given
+    if text in ANY_LINK:
+        wanted = parse_bench_link(ANY_LINK[text])
+        return given if given.can == wanted.can else wanted
+    return parse_bench_link(text, present)
+
+
+def lacking(text: str, given: BenchLink) -> str | None:
+    """What a test that is marked with ``st_link`` misses on hardware; None: nothing."""
+    if given.place != "there":
+        return None
+    wanted = parse_bench_link(ANY_LINK.get(text, text))
+    if wanted.specification is None and text not in ANY_LINK:
+        return "virtual time"
+    if wanted.can == given.can:
+        return None
+    return "a CAN bus" if wanted.can else "a serial line"
 
 
 def _is_controller(specification: LinkSpecification) -> bool:
@@ -127,8 +151,8 @@ class UnitSettings:
     """What a test's unit is.
 
     ``unit``: name or file. ``node``: on a CAN bus; None: the unit file's in memory and on hardware, a free
-    one on a bus that others may use too. ``scenario``: tables of a scenario, ``scenario_where`` what errors call
-    them; None: none was asked for. ``off``: power has not come on yet when the test begins.
+    one on a bus that others may use too. ``scenario``: tables of a scenario, ``scenario_where`` what errors
+    call them; None: none was asked for. ``off``: power has not come on yet when the test begins.
     """
 
     link: BenchLink

@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import ConfigurationError
 from ..links import Link, open_link
+from ..obc import Obc
 from .errors import UnitDiedError
 from .star_tracker import StarTracker
 
 if TYPE_CHECKING:
     from ..bench.scenario import Scenario
-    from ..obc import Obc
     from ..units.profile import UnitProfile
-    from .bench import Bench
+    from .expectations import Expectations
     from .settings import UnitSettings
 
 PATIENCE_S = 300.0
@@ -200,7 +200,7 @@ class SpawnedStarTracker(StarTracker):
         profile: UnitProfile,
         settings: UnitSettings,
         scenario: Scenario | None,
-        bench: Bench,
+        bench: Expectations,
         journal: Path | None,
     ) -> None:
         specification = settings.link.specification
@@ -218,10 +218,10 @@ class SpawnedStarTracker(StarTracker):
             _taken.add(self._path)
             link = f"pty:{self._path}"
         super().__init__(profile, link, node, bench)
-        self._listen = bench.listen
         self.journal = journal
         self._scenario = scenario
         self._begun = False
+        self._unit = settings.unit
         arguments = [settings.unit, "--link", link, "--store", "none"]
         if settings.dialect is not None:
             arguments += ["--dialect", settings.dialect]
@@ -270,9 +270,7 @@ class SpawnedStarTracker(StarTracker):
             _taken.discard(self._path)
 
     def _make_obc(self) -> Obc:
-        from .obc_end import connected
-
-        return connected(self.link, self.profile, self.node, self._listen)
+        return Obc.connect(self.link, unit=self._unit, node=self.node)
 
     def _make_line(self) -> Link:
         return open_link(self.link, "obc", self.profile.wire.baud, self.name, self.profile.can.bitrate)

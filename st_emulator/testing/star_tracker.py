@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from ..links import Link
     from ..obc import Attitude, Obc
     from ..units.profile import UnitProfile
-    from .bench import Bench
     from .expectations import Expectations
 
 ARCSEC_PER_RAD = 180 * 3600 / math.pi
@@ -228,11 +227,11 @@ class PresentStarTracker(StarTracker):
     """
 
     def __init__(
-        self, profile: UnitProfile, link: str, node: int | None, bench: Bench, recording: Path | None
+        self, profile: UnitProfile, link: str, node: int | None, bench: Expectations, recording: Path | None
     ) -> None:
         super().__init__(profile, link, node, bench)
         self.supervised = _NotThere()
-        self._listen = bench.listen
+        self._unit = profile.origin or profile.name
         self._recording = recording
 
     @property
@@ -247,11 +246,10 @@ class PresentStarTracker(StarTracker):
         self.obc.reset("COLD")
 
     def _make_obc(self) -> Obc:
-        from .obc_end import connected
+        from ..obc import Obc
 
-        obc = connected(self.link, self.profile, self.node, self._listen, self._recording)
         self.journal = self._recording
-        return obc
+        return Obc.connect(self.link, unit=self._unit, node=self.node, record=self._recording)
 
     def _make_line(self) -> Link:
         from ..links import open_link
