@@ -122,7 +122,7 @@ def settings_of(item: pytest.Item) -> UnitSettings:
     config = item.config
     present = config.getoption("st_present")
     link = parse_bench_link(_given(config, "link") or "memory", present)
-    speed = _given(config, "speed")
+    speed: str = _given(config, "speed")
     if (marker := item.get_closest_marker("st_link")) is not None and link.place != "there":
         link = marked_link(str(marker.args[0]), link, present)
         speed = speed if link.place == "memory" else ""
@@ -178,8 +178,8 @@ def missing_of(item: pytest.Item, settings: UnitSettings) -> str | None:
     if (marker := item.get_closest_marker("st_link")) is not None:
         from .testing.settings import lacking
 
-        if (need := lacking(str(marker.args[0]), settings.link)) is not None:
-            return need
+        if (missing := lacking(str(marker.args[0]), settings.link)) is not None:
+            return missing
     if (marker := item.get_closest_marker("st_speed")) is not None and str(marker.args[0]) != "1":
         return "virtual time"
     return None

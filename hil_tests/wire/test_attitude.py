@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 
@@ -38,7 +39,7 @@ def test_exposures_are_a_frame_period_apart(line: Wire) -> None:
     line.await_(lambda: len(line.of("attitude_report")) >= 5)
     times = [time[0] + time[1] / 2**24 for time in
              (fields["mid_exposure_time"] for fields in line.of("attitude_report"))]  # fmt: skip
-    steps = [later - earlier for earlier, later in zip(times, times[1:], strict=False)]
+    steps = [later - earlier for earlier, later in pairwise(times)]
     assert steps == [pytest.approx(line.period_s, abs=1e-5)] * len(steps)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
@@ -23,7 +25,7 @@ def test_at_its_interval_by_the_units_own_clock(line: Wire) -> None:
     line.done("hk_enable", {"structure_ids": [LINK]})
     line.await_(lambda: len(stamps_s(line, LINK)) >= 4)
     times = stamps_s(line, LINK)
-    steps = [later - earlier for earlier, later in zip(times, times[1:], strict=False)]
+    steps = [later - earlier for earlier, later in pairwise(times)]
     assert steps == [pytest.approx(0.333, abs=1e-4)] * len(steps)
     line.done("hk_disable", {"structure_ids": [LINK]})
     line.forget()

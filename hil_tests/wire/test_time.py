@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from .conftest import STATUS, Wire
@@ -66,6 +68,6 @@ def test_time_reports_come_each_power_of_two_frames(line: Wire) -> None:
     line.forget()
     line.await_(lambda: len(line.of("time_report")) >= 4)
     stamps = [seconds(packet.decoded["time"]) for packet in line.packets if packet.name == "time_report"][:4]
-    steps = [later - earlier for earlier, later in zip(stamps, stamps[1:], strict=False)]
+    steps = [later - earlier for earlier, later in pairwise(stamps)]
     assert steps == [pytest.approx(2 * line.period_s, abs=1e-3)] * 3, "by the unit's own clock, on any link"
     line.done("time_report_rate", {"rate_exponent": 0})
