@@ -64,10 +64,17 @@ class VirtualClock:
         return self._queue[0].at_ns if self._queue else None
 
     def advance(self, until_ns: int) -> None:
-        """Run every event due at or before ``until_ns`` and set the time to it."""
+        """Run every event due at or before ``until_ns`` and set the time to it.
+
+        An action that raises stays due, the time stays at it: what it needed may be there the next time.
+        """
         while (due := self.next_ns()) is not None and due <= until_ns:
             event = heapq.heappop(self._queue)
             self.now_ns = event.at_ns
-            event.action()
+            try:
+                event.action()
+            except Exception:
+                heapq.heappush(self._queue, event)
+                raise
         if until_ns > self.now_ns:
             self.now_ns = until_ns

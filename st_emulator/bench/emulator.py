@@ -8,30 +8,44 @@ by callback at the virtual time at which their last bit has left the unit.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ..clock import VirtualClock
+from ..clock import NS_PER_S, VirtualClock
 from ..device.imaging import FrameRecord, FrameSource, Lazy, Submit
 from ..device.star_tracker import StarTracker
 from ..device.store import Store, StoreContents, VolatileStore
 from ..dialects.dialect import CanWire, Dialect, SerialWire
 from ..dialects.registry import dialect_of, require_wire, settings_of
+from ..errors import ConfigurationError
+from ..faults.fault import Reach
+from ..faults.faults import Faults
+from ..faults.seams import SeamedSource, SeamedSpeaker, Seams
+from ..faults.store import SeamedStore
+from ..firmware_model.image.frame import Frame
+from ..protocol.can.frames import CanFrame
 from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile
 from ..wire.can.bus import Disturbance
+from ..wire.can.controller import BusError
 from ..wire.can.wiring import CanWiring
 from ..world.recorded import RecordedFrames
+from ..world.sampled import BeyondTruthError, SampledTrajectory, TruthSample
 from ..world.scene import RenderedFrame, SceneRenderer
+from ..world.trajectory import Trajectory
 from .journal import JournalWriter, TextSink
 from .scenario import Scenario
 from .scenario_inputs import parameters_of, telecommands_of
 from .star_tables import star_tables
 from .world_of import scene_of
+
+# Samples of the truth this old are still there, for who wants to know what a frame in processing has seen.
+TRUTH_KEPT_NS = 10 * NS_PER_S
 
 
 class RecordedSource:
@@ -48,6 +62,30 @@ class RecordedSource:
         return frame
 
 
+class LastExposed:
+    """A source that remembers what it gave last, before faults."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self.frame_exposed: Frame | None = None
+
+    def frame(self, frame_index: int, exposure_start_ns: int, exposure_ns: int) -> Frame | None:
+        self.frame_exposed = self._source.frame(frame_index, exposure_start_ns, exposure_ns)
+        return self.frame_exposed
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One that lasts: ``frame`` is what the sky puts on the detector in it."""
+
+    record: FrameRecord
+    frame: Frame | None
+
+    @property
+    def end_ns(self) -> int:
+        return self.record.start_ns + self.record.exposure_ns
+
+
 class Emulator:
     """One unit in its world.
 
@@ -62,12 +100,16 @@ class Emulator:
             record of a CAN frame; returns how many the link took (None: all).
         journal, truth: open text files, or None.
         submit: how frames are computed (see :mod:`st_emulator.device.imaging`).
+        trajectory: truth from outside in place of the scenario's trajectory. It is asked for an exposure when
+            the exposure is over, never before.
         on_completed: called with each processed frame, its pixels and intermediates (pictures are made of
         it).
         baud: line rate; the unit's own when None.
         pace_reception: False when the link's bytes already took their time on a wire.
         can: the unit is on a CAN bus, wired like this; None: on its serial line.
-        disturbance: the seam where faults of the CAN bus enter.
+        disturbance: what a test does to the CAN bus, before the run's faults.
+
+    ``faults``: those of the scenario, and those that are put in live.
     """
 
     def __init__(
@@ -87,6 +129,7 @@ class Emulator:
         baud: int | None = None,
         can: CanWiring | None = None,
         disturbance: Disturbance | None = None,
+        trajectory: Trajectory | None = None,
         on_completed: Callable[[FrameRecord], None] = lambda record: None,
     ) -> None:
         self.profile = profile
@@ -99,34 +142,48 @@ class Emulator:
         self.clock = VirtualClock()
         self._external_transmit = transmit
         self._hold = hold
-        self._store = store if store is not None else VolatileStore()
+        self._seams = Seams()
+        self._store = SeamedStore(store if store is not None else VolatileStore(), self._seams)
         self._apply_scenario_parameters()
         self.start_tai_ns = tai_ns_from_utc(self.scenario.start_utc)
         self.scene: SceneRenderer | None = None
+        self.trajectory = trajectory
+        self._exposures: deque[Exposure] = deque()
         source: FrameSource
         if frames is not None:
+            if trajectory is not None:
+                raise ConfigurationError("recorded frames show their own sky; allowed is no trajectory")
             source = RecordedSource(frames, hold)
         else:
-            source = self.scene = scene_of(profile, self.scenario, self.seed, self.start_tai_ns)
+            source = self.scene = scene_of(profile, self.scenario, self.seed, self.start_tai_ns, trajectory)
+        self._exposed = LastExposed(source)
         self.device = StarTracker(
             profile,
             self.clock,
-            source,
+            SeamedSource(self._exposed, self._seams),
             star_tables(profile),
             self._store,
-            submit=submit,
+            submit=submit if trajectory is None else Lazy,  # nothing asks before the exposure is over
             on_frame=self._frame_exposed,
             on_completed=on_completed,
+            seams=self._seams,
         )
         self._truth = truth
         self._journal: JournalWriter | None = None
         if journal is not None:
             self._journal = JournalWriter(journal, self._header(frames))
+        if isinstance(trajectory, SampledTrajectory):
+            for sample in trajectory.samples:
+                self._truth_given(sample)
+            trajectory.watch(self._truth_given, self._truth_needed_from_ns)
         self._telecommands = deque(telecommands_of(profile, self.scenario))
         self._sender = dialect_of(profile).sender(profile, settings_of(profile), can)
         self.dialect = self._dialect()
-        self.device.speak_through(self.dialect)
-        self.device.power_on()
+        self.device.speak_through(SeamedSpeaker(self.dialect, self._seams))
+        self.faults = Faults(self._seams, self.seed, self._fault_told, self._fault_done)
+        self.faults.attach(self._reach(), self.scenario.faults, self.scenario.where)
+        if not self.faults.without_power:
+            self.device.power_on()
 
     # -- driving it
     # ------------------------------------------------------------------------------------------------
@@ -165,7 +222,31 @@ class Emulator:
         if data:
             if self._journal is not None:
                 self._journal.write(self.clock.now_ns, "rx", data)
-            self.dialect.arrive(data)
+            self._arrive(data)
+
+    def transmit_to(self, transmit: Callable[[bytes, int], int | None]) -> None:
+        """What leaves the unit goes there from now on, as with the argument ``transmit``."""
+        self._external_transmit = transmit
+
+    def do(self, what: str, content: Any) -> None:
+        """Do again what a journal says was done to the run: "inject" a fault, "clear" one, "truth" gives a
+        sample of it.
+
+        Raises:
+            ConfigurationError: it makes no sense here.
+        """
+        match what:
+            case "inject":
+                self.faults.inject(content)
+            case "clear":
+                self.faults.clear(int(content))
+            case "truth" if isinstance(self.trajectory, SampledTrajectory):
+                try:
+                    self.trajectory.add(TruthSample.of(content))
+                except (AttributeError, ValueError) as error:
+                    raise ConfigurationError(f"journal: truth: {error}") from error
+            case _:
+                raise ConfigurationError(f"journal: {what}: nothing that is done to a run like this")
 
     def flush(self) -> None:
         """Write out what the journal and the truth file hold back."""
@@ -175,7 +256,11 @@ class Emulator:
             self._truth.flush()
 
     def close(self) -> None:
-        """Mark the end in the journal."""
+        """Mark the end in the journal; the truth of exposures that still last is written where it is
+        known."""
+        with contextlib.suppress(BeyondTruthError):
+            while self._exposures:
+                self._fix_oldest_exposure()
         if self._journal is not None:
             self._journal.end(self.clock.now_ns)
         self.flush()
@@ -193,16 +278,38 @@ class Emulator:
         require_wire(self.profile, self.can is not None)
         if self.can is not None:
             assert definition.on_can is not None
-            wire = CanWire(self.clock, self.can, self._transmitted, self._disturbance)
+            wire = CanWire(self.clock, self.can, self._transmitted, self._disturb, self._seams)
             on_can: Dialect = definition.on_can(self.device, wire, settings)
             return on_can
         assert definition.on_serial is not None
-        line = SerialWire(self.clock, self.baud, self._transmitted, self._pace_reception)
+        line = SerialWire(self.clock, self.baud, self._transmitted, self._pace_reception, self._seams)
         on_serial: Dialect = definition.on_serial(self.device, line, settings)
         return on_serial
 
+    def _disturb(self, frame: CanFrame, own: bool, now_ns: int) -> BusError | None:
+        error = None if self._disturbance is None else self._disturbance(frame, own, now_ns)
+        return self._seams.disturbance(frame, own, now_ns) if error is None else error
+
+    def _arrive(self, data: bytes) -> None:
+        """The link brought it: through the seam to the unit."""
+        if self.can is not None:
+            self._seams.records(data, False, self.dialect.arrive)
+        elif octets := self._seams.octets(data, False):
+            self.dialect.arrive(octets)
+
     def _transmitted(self, data: bytes) -> bool:
-        """Whether the link took it; what a CAN link does not take now is offered again."""
+        """Through the seam to the link. Whether the link took it; what a CAN link does not take now is
+        offered again.
+        """
+        if self.can is None:
+            if octets := self._seams.octets(data, True):
+                self._put_on_link(octets)
+            return True
+        taken: list[bool] = []
+        self._seams.records(data, True, lambda record: taken.append(self._put_on_link(record)))
+        return all(taken)  # what a fault keeps back has left the unit
+
+    def _put_on_link(self, data: bytes) -> bool:
         taken = self._external_transmit(data, self.clock.now_ns)
         refused = self.can is not None and taken is not None and taken < len(data)
         if self._journal is not None:
@@ -212,18 +319,71 @@ class Emulator:
         return not refused
 
     def _frame_exposed(self, record: FrameRecord) -> None:
-        if self._truth is None:
-            return
-        if isinstance(record.pixels, RenderedFrame) and self.scene is not None:
-            self._truth.write(self.scene.truth(record.pixels).to_json() + "\n")
-        else:
-            fields = {
-                "frame_index": record.index,
-                "exposure_mid_ns": record.mid_exposure_ns,
+        if self._truth is not None or self.trajectory is not None:
+            exposure = Exposure(record, self._exposed.frame_exposed)
+            self._exposures.append(exposure)
+            self.clock.at(exposure.end_ns, self._exposures_over)
+
+    def _exposures_over(self) -> None:
+        """What the frames have seen is fixed now, and goes into the truth file in the order of their starts.
+
+        Raises:
+            BeyondTruthError: the truth from outside does not reach so far; it can be done again when it does.
+        """
+        while self._exposures and self._exposures[0].end_ns <= self.now_ns:
+            self._fix_oldest_exposure()
+
+    def _fix_oldest_exposure(self) -> None:
+        exposure = self._exposures[0]
+        if isinstance(exposure.frame, RenderedFrame):
+            if isinstance(self.trajectory, SampledTrajectory):
+                self.trajectory.require(exposure.record.start_ns, exposure.end_ns)
+            if self.trajectory is not None:
+                _ = exposure.frame.light  # the samples of this time may be forgotten from now on
+        line = None if self._truth is None else self._truth_line(exposure)
+        self._exposures.popleft()
+        if self._truth is not None and line is not None:
+            self._truth.write(line + "\n")
+
+    def _truth_line(self, exposure: Exposure) -> str:
+        if isinstance(exposure.frame, RenderedFrame) and self.scene is not None:
+            return self.scene.truth(exposure.frame).to_json()
+        return json.dumps(
+            {
+                "frame_index": exposure.record.index,
+                "exposure_mid_ns": exposure.record.mid_exposure_ns,
                 "recorded": True,
-                "file": Path(str(getattr(record.pixels, "name", ""))).name,
+                "file": Path(str(getattr(exposure.frame, "name", ""))).name,
             }
-            self._truth.write(json.dumps(fields) + "\n")
+        )
+
+    def _truth_given(self, sample: TruthSample) -> None:
+        if self._journal is not None:
+            self._journal.write_doing(self.clock.now_ns, "truth", sample.as_dict())
+
+    def _truth_needed_from_ns(self) -> int:
+        oldest_ns = self._exposures[0].record.start_ns if self._exposures else self.now_ns
+        return min(oldest_ns, self.now_ns - TRUTH_KEPT_NS)
+
+    def _reach(self) -> Reach:
+        return Reach(
+            clock=self.clock,
+            profile=self.profile,
+            device=self.device,
+            to_obc=self._put_on_link,
+            to_unit=self.dialect.arrive,
+            wire="serial" if self.can is None else "can",
+            baud=self.baud,
+            store=self._store,
+        )
+
+    def _fault_told(self, number: int, kind: str, what: str) -> None:
+        if self._journal is not None:
+            self._journal.note(self.clock.now_ns, f"fault {number} {kind} {what}")
+
+    def _fault_done(self, what: str, content: Any) -> None:
+        if self._journal is not None:
+            self._journal.write_doing(self.clock.now_ns, what, content)
 
     def _apply_scenario_parameters(self) -> None:
         """Parameters of the scenario are in the non-volatile memory at power-on."""
@@ -235,7 +395,9 @@ class Emulator:
 
     def _header(self, frames: RecordedFrames | None) -> dict[str, Any]:
         contents, fault = self._store.load()
+        truth = {} if self.trajectory is None else {"truth": self._truth_kind()}
         return {
+            **truth,
             "unit": self.profile.model_dump(mode="json"),
             "scenario": self.scenario.model_dump(mode="json", by_alias=True),
             "seed": self.seed,
@@ -250,3 +412,6 @@ class Emulator:
                 "fault": None if fault is None else int(fault),
             },
         }
+
+    def _truth_kind(self) -> str:
+        return "samples" if isinstance(self.trajectory, SampledTrajectory) else "not recorded"

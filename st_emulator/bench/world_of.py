@@ -133,8 +133,14 @@ def bodies_of(profile: UnitProfile, sky: Sky) -> list[Body]:
     return bodies
 
 
-def scene_of(profile: UnitProfile, scenario: Scenario, seed: int, start_tai_ns: int) -> SceneRenderer:
-    """The sky of a scenario as the unit's camera sees it.
+def scene_of(
+    profile: UnitProfile,
+    scenario: Scenario,
+    seed: int,
+    start_tai_ns: int,
+    outside: Trajectory | None = None,
+) -> SceneRenderer:
+    """The sky of a scenario as the unit's camera sees it; ``outside`` in place of the scenario's trajectory.
 
     Raises:
         ConfigurationError: values that fit the scenario's schema but not each other.
@@ -147,7 +153,7 @@ def scene_of(profile: UnitProfile, scenario: Scenario, seed: int, start_tai_ns: 
         return SceneRenderer(
             camera,
             sky_of(start_tai_ns),
-            trajectory_of(scenario, start_tai_ns),
+            trajectory_of(scenario, start_tai_ns) if outside is None else outside,
             seed=seed,
             start_tai_ns=start_tai_ns,
             aberration=sky.aberration,

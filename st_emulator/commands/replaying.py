@@ -24,6 +24,7 @@ from ..units.profile import UnitProfile
 from ..units.validation import validate
 from ..wire.can.wiring import CanWiring
 from ..world.recorded import RecordedFrameError, RecordedFrames
+from ..world.sampled import BeyondTruthError, SampledTrajectory
 from .output_file import OutputFile
 
 
@@ -60,12 +61,19 @@ def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
             frames = RecordedFrames(
                 [Path(name) for name in header["frames"]], profile.detector.columns, profile.detector.rows
             )
+        truth = header.get("truth")
+        if truth not in (None, "samples"):
+            raise ConfigurationError(
+                f"{where}: line 1: the truth of this run came from a program that gave no samples; allowed "
+                "are journals whose truth stands in them"
+            )
         # The bytes of the scenario's own telecommands stand in the journal like any others.
         scenario = scenario.model_copy(update={"telecommands": [], "parameters": {}})
         return Emulator(
             profile,
             scenario,
             seed=int(header["seed"]),
+            trajectory=None if truth is None else SampledTrajectory(),
             frames=frames,
             hold=int(header.get("hold", 1)),
             store=store,
@@ -74,7 +82,7 @@ def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
             can=None if header.get("can") is None else CanWiring(**header["can"]),
             **arguments,
         )
-    except RecordedFrameError:
+    except (RecordedFrameError, ConfigurationError):
         raise
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigurationError(
@@ -85,12 +93,24 @@ def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
 def feed(emulator: Emulator, journal: Journal, until_ns: int | None = None) -> None:
     """Give the received bytes at their times, and run to the journal's end (or ``until_ns``)."""
     end_ns = journal.end_ns if until_ns is None else until_ns
-    for entry in journal.entries:
-        if entry.direction != "rx" or entry.t_ns > end_ns:
+    for one in journal.inputs:
+        if one.t_ns > end_ns:
             continue
-        emulator.advance(entry.t_ns)
-        emulator.receive(entry.data)
-    emulator.advance(end_ns)
+        _advance(emulator, one.t_ns)
+        if isinstance(one, JournalEntry):
+            emulator.receive(one.data)
+        else:
+            emulator.do(one.what, one.content)
+    _advance(emulator, end_ns)
+
+
+def _advance(emulator: Emulator, until_ns: int) -> None:
+    """Let virtual time go on; as in the recorded run it may stay at an instant whose truth is to come."""
+    try:
+        emulator.advance(until_ns)
+    except BeyondTruthError:
+        if emulator.now_ns < until_ns:
+            raise
 
 
 def refusals_of(journal: Journal) -> set[tuple[int, bytes]]:

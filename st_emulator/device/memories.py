@@ -8,6 +8,7 @@ comes round has something to do only when there was some.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 
 import numpy as np
 
@@ -25,9 +26,17 @@ class Memories:
     Args:
         unit_name: decides what stands in the program memory.
         tables: the on-board catalogue as it was stored.
+        written: what of octets stands in a memory after they were written (see
+            :class:`~st_emulator.device.seams.DeviceSeams`).
     """
 
-    def __init__(self, unit_name: str, tables: StarTables) -> None:
+    def __init__(
+        self,
+        unit_name: str,
+        tables: StarTables,
+        written: Callable[[str, bytes], bytes] = lambda memory, octets: octets,
+    ) -> None:
+        self._written = written
         # ASSUMED: octets that stand for the software; nothing runs them.
         self._stored_program = hashlib.shake_256(unit_name.encode()).digest(PROGRAM_BYTES)
         self._stored_tables = tables
@@ -67,8 +76,8 @@ class Memories:
 
     def load(self, command: LoadMemory) -> None:
         """Write."""
-        end = command.start + len(command.data)
-        self._writable(command.memory)[command.start : end] = command.data
+        octets = self._written(command.memory, command.data)
+        self._writable(command.memory)[command.start : command.start + len(octets)] = octets
         self._changed |= command.memory == "program"
 
     def ram_works(self) -> bool:

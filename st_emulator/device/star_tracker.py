@@ -7,6 +7,7 @@ its mode goes through :meth:`StarTracker._follow`, by the one table in ``firmwar
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
@@ -50,6 +51,7 @@ from .imaging import FrameRecord, FrameSettings, FrameSource, Imaging, Lazy, Sub
 from .memories import Memories
 from .onboard_time import OnboardTime
 from .parameters import Parameters
+from .seams import PLAIN, DeviceSeams
 from .self_test import STEPS, SelfTestRun
 from .speaker import MUTE, Speaker
 from .store import Store
@@ -71,6 +73,7 @@ class StarTracker:
         submit: how a frame's computation is started (at once beside the loop, or when needed).
         on_frame: called when a frame is exposed, with its record (the truth is written there).
         on_completed: called when a frame's result counts.
+        seams: where faults enter.
     """
 
     def __init__(
@@ -84,15 +87,17 @@ class StarTracker:
         submit: Submit = Lazy,
         on_frame: Callable[[FrameRecord], None] = lambda record: None,
         on_completed: Callable[[FrameRecord], None] = lambda record: None,
+        seams: DeviceSeams = PLAIN,
     ) -> None:
         self.profile = profile
+        self._seams = seams
         self.clock = clock
         self.mode = Mode.OFF
         self.powered = False
         self.time = OnboardTime()
         self.frame_counters = FrameCounters()
         self.parameters = Parameters(profile, store)
-        self.memories = Memories(profile.name, tables)
+        self.memories = Memories(profile.name, tables, seams.written)
         self.imaging = Imaging(
             clock,
             source,
@@ -106,7 +111,7 @@ class StarTracker:
         self.last_frame: FrameRecord | None = None
         self.last_frame_index = 0
         self.last_reasons = Reason.NOT_ACQUIRING
-        self.last_quaternion = IDENTITY
+        self.last_quaternion = self._last_valid = IDENTITY
         self.reset_cause = ResetCause.POWER_ON
         self._health = Health(self.memories, profile.frame_period_ns)
         self._speaker = MUTE
@@ -171,7 +176,7 @@ class StarTracker:
         self.imaging.cancel_capture()
         self.last_frame = None
         self.last_reasons = Reason.NOT_ACQUIRING
-        self.last_quaternion = IDENTITY
+        self.last_quaternion = self._last_valid = IDENTITY
         self._blinded = False
         self._setting_time = self._acquiring = None
         self.self_test.reset()
@@ -393,7 +398,7 @@ class StarTracker:
         self.last_frame_index = frame_index
         if self.mode in SILENT:
             return
-        change = self.time.apply(self.clock.now_ns)
+        change = self.time.apply(self.clock.now_ns) if self._seams.synchronises() else None
         if change is not None:
             self._tell(reports.TimeSet(*change))
             running, self._setting_time = self._setting_time, None
@@ -403,7 +408,9 @@ class StarTracker:
         self._found(self._health.frame_started(frame_index))
 
     def frame_settings(self) -> FrameSettings:
-        return self.parameters.frame_settings()
+        settings = self.parameters.frame_settings()
+        processor = self._seams.processor(settings.processor)
+        return settings if processor is settings.processor else replace(settings, processor=processor)
 
     @property
     def tables(self) -> StarTables:
@@ -439,12 +446,10 @@ class StarTracker:
         counters.frames_tracking += result.valid and record.acquisition is Mode.TRACKING
         counters.frames_late += record.late_ns > 0
         counters.worst_cycles = max(counters.worst_cycles, record.cycles.total)
-        self.last_frame = record
-        self.last_reasons = result.reasons
         if result.valid:
             x, y, z, w = (float(value) for value in result.q_icrs_to_sensor)
-            self.last_quaternion = (x, y, z, w)
-        self._tell(reports.AttitudeReady(record, result.reasons, self.last_quaternion))
+            self._last_valid = (x, y, z, w)
+        self._tell_attitude(record, result.reasons)
         if record.late_ns:
             self._tell(reports.FrameOverran(record, self.imaging.budget_cycles(record.settings)))
         self._follow_frame(record)
@@ -474,7 +479,16 @@ class StarTracker:
         reasons = Reason.FRAME_DROPPED | (Reason.NO_FRAME if no_frame else Reason.OVERRUN)
         self.last_reasons = reasons
         self._tell(reports.FrameDropped(record))
-        self._tell(reports.AttitudeReady(record, reasons, self.last_quaternion))
+        self._tell_attitude(record, reasons)
+
+    def _tell_attitude(self, record: FrameRecord, reasons: Reason) -> None:
+        """Tell what a frame gave, and remember what was told."""
+        report = self._seams.attitude(reports.AttitudeReady(record, reasons, self._last_valid))
+        if report.record.result is not None:
+            self.last_frame = report.record
+        self.last_reasons = report.reasons
+        self.last_quaternion = report.q_icrs_to_sensor
+        self._tell(report)
 
     # -- what a dialect may ask at any time
 

@@ -12,7 +12,7 @@ import os
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from ..errors import ConfigurationError
 from ..firmware_model.causes import StoreInvalidCause
@@ -98,4 +98,11 @@ def _checksum(body: dict[str, Any]) -> int:
     return zlib.crc32(json.dumps(body, sort_keys=True).encode())
 
 
-Store = VolatileStore | FileStore
+class Store(Protocol):
+    """A non-volatile memory."""
+
+    def load(self) -> tuple[StoreContents, StoreInvalidCause | None]:
+        """(contents, why they are factory values or None)."""
+
+    def save(self, contents: StoreContents) -> None:
+        """Keep them in place of what was there."""

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from . import time_scales
 from .camera import CameraModel
 from .orbit import EARTH_RADIUS_KM
-from .trajectory import Trajectory
+from .trajectory import Trajectory, TrajectoryWithSun
 
 Array = NDArray[np.float64]
 
@@ -49,10 +49,15 @@ class ObserverState:
     @classmethod
     def at(cls, trajectory: Trajectory, t_ns: int, start_tai_ns: int) -> ObserverState:
         """The state on a trajectory at virtual time t_ns; velocity_km_s is barycentric: the Earth's plus its
-        own."""
+        own. A trajectory that knows where the Sun is has the last word on it."""
         tai_ns = start_tai_ns + t_ns
         heliocentric, barycentric, velocity = time_scales.earth_position_velocity(tai_ns)
         position, own = trajectory.position_km(t_ns), trajectory.velocity_km_s(t_ns)
+        sun = trajectory.sun_direction(t_ns) if isinstance(trajectory, TrajectoryWithSun) else None
+        if sun is not None:
+            heliocentric = -float(np.linalg.norm(heliocentric)) * sun - (
+                0.0 if position is None else position
+            )
         return cls(
             tai_ns=tai_ns,
             geocentric_km=position,

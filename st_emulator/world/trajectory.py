@@ -24,6 +24,7 @@ __all__ = [
     "InertialTrajectory",
     "Instants",
     "Trajectory",
+    "TrajectoryWithSun",
     "constant_rate",
     "earth_fixed",
     "inertial",
@@ -57,6 +58,16 @@ class Trajectory(Protocol):
 
     def velocity_km_s(self, t_ns: Instants) -> Array | None:
         """Geocentric velocity, ICRS axes, km/s; None where the trajectory knows none."""
+        ...
+
+
+@runtime_checkable
+class TrajectoryWithSun(Trajectory, Protocol):
+    """A trajectory that also says where the Sun is."""
+
+    def sun_direction(self, t_ns: Instants) -> Array | None:
+        """Unit vector from the observer to the Sun, ICRS axes, float64[3] or [n, 3]; None: the ephemeris
+        knows."""
         ...
 
 

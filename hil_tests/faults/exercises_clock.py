@@ -1,0 +1,7 @@
+"""Faults of the clock, exercised."""
+
+from __future__ import annotations
+
+from hil_tests.faults.exercise import Exercise
+
+EXERCISES: tuple[Exercise, ...] = ()

@@ -1,0 +1,9 @@
+"""Faults of the telemetry."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from .fault import FaultKind
+
+KINDS: Final[tuple[FaultKind, ...]] = ()
