@@ -123,11 +123,11 @@ class Supervision:
 
     def power_on(self) -> None:
         """Let power come on."""
-        self.emulator.device.power_on()
+        self.emulator.power(True)
 
     def power_off(self) -> None:
         """Cut the power: what waits is lost, nothing is told."""
-        self.emulator.device.power_off()
+        self.emulator.power(False)
 
     def flush(self) -> None:
         """Write out what its journal holds back."""
