@@ -8,6 +8,7 @@ for a unit.
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -274,6 +275,11 @@ def faults(star_tracker: StarTracker) -> UnitFaults:
     As `star_tracker.faults`; on hardware the test is left out.
     """
     return star_tracker.faults
+
+
+def pytest_unconfigure() -> None:
+    if (spawned := sys.modules.get(f"{__package__}.testing.spawned_unit")) is not None:
+        spawned.close_server()
 
 
 # -- what is told

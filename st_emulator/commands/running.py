@@ -209,7 +209,7 @@ def run_unit(options: RunOptions) -> None:
             return
         request = None
         if control is not None:
-            control.ready(link=link.name)
+            control.ready(link=link.name, pid=os.getpid())
             request = control.await_first("begin")
             if request is None:
                 return

@@ -1,14 +1,16 @@
 """Units in processes of their own, in real time, on a pseudo-terminal or a CAN bus that others may use too.
 
-Such a process ends when the test run does, however that ends: it holds one end of a socket pair, and its link
-goes with it.
+Such a process ends when the test run does, however that ends: it holds one end of a socket pair, and its
+link goes with it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -22,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import ConfigurationError
 from ..links import Link, open_link
 from ..obc import Obc
+from . import unit_server
 from .errors import UnitDiedError
 from .star_tracker import StarTracker
 
@@ -40,41 +43,69 @@ _numbers = itertools.count(1)
 _taken: set[Path] = set()  # link paths of this process
 
 
+class _Server:
+    """The process that units are forked from; there is one while units of this process need it."""
+
+    def __init__(self) -> None:
+        self.socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        package = Path(__file__).parents[2]
+        path = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
+        with theirs:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "st_emulator.testing.unit_server", str(theirs.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                env=os.environ | {"PYTHONPATH": path},
+            )
+
+    def close(self) -> None:
+        self.socket.close()
+        try:
+            self.process.wait(ENDING_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
+_servers: list[_Server] = []
+
+
+def close_server() -> None:
+    """No unit is needed any more."""
+    while _servers:
+        _servers.pop().close()
+
+
 class UnitProcess:
-    """``st-emulator run ... --control``: asked by lines of JSON. One thread may ask at a time.
+    """A unit as ``st-emulator run --control`` runs it, in a process of its own: asked by lines of JSON. One
+    thread may ask at a time. ``options`` are those of the command.
 
     Raises:
         UnitDiedError: it has ended; the message says what it said.
     """
 
-    def __init__(self, arguments: list[str]) -> None:
-        ours, theirs = socket.socketpair()
-        package = Path(__file__).parents[2]
-        path = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
-        with theirs:
-            self.process = subprocess.Popen(
-                [
-                    sys.executable, "-m", "st_emulator", "run", *arguments,
-                    "--control", str(theirs.fileno()),
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                pass_fds=[theirs.fileno()],
-                env=os.environ | {"PYTHONPATH": path},
-                text=True,
-            )  # fmt: skip
-        self._socket = ours
-        ours.settimeout(PATIENCE_S)
-        self._lines = ours.makefile("rb")
+    def __init__(self, options: dict[str, Any]) -> None:
+        if not _servers or _servers[0].process.poll() is not None:
+            close_server()
+            _servers.append(_Server())
+        self._socket, theirs = socket.socketpair()
+        errors, their_errors = os.pipe()
+        with theirs, os.fdopen(their_errors, "w"):
+            folder = {"folder": os.getcwd()}
+            unit_server.send(_servers[0].socket, options | folder, [theirs.fileno(), their_errors])
+        self._socket.settimeout(PATIENCE_S)
+        self._lines = self._socket.makefile("rb")
         self._said: deque[str] = deque(maxlen=SAID_LINES)
+        self._errors = os.fdopen(errors, encoding="utf-8", errors="replace")
         self._reader = threading.Thread(target=self._read_said, daemon=True)
         self._reader.start()
         self._ids = itertools.count(1)
+        self.pid: int | None = None
 
     def await_ready(self) -> None:
         """Return when all is loaded and the link is open."""
-        self._next()
+        self.pid = int(self._next()["ready"]["pid"])
 
     def ask(self, what: str, **arguments: Any) -> Any:
         """What it answers.
@@ -96,38 +127,34 @@ class UnitProcess:
         return answer["result"]
 
     def check(self) -> None:
-        """See that it is alive."""
-        if self.process.poll() is not None:
-            self._reader.join(ENDING_S)
-            raise UnitDiedError(
-                f"the unit ended with exit status {self.process.returncode}: "
-                + (" | ".join(self._said) or "it said nothing")
-            )
+        """See that it is alive: its standard error is open for as long as it is."""
+        if not self._reader.is_alive():
+            said = " | ".join(self._said) or "it said nothing"
+            raise UnitDiedError(f"the unit has ended: {said}")
 
     def close(self) -> None:
-        """Let it end, and wait until its link is gone."""
+        """Let it end, and wait until it has."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
+        self._reader.join(ENDING_S)
+        if self._reader.is_alive() and self.pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+            self._reader.join(ENDING_S)
         self._lines.close()
         self._socket.close()
-        try:
-            self.process.wait(ENDING_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-        self._reader.join(ENDING_S)
-        assert self.process.stderr is not None
-        self.process.stderr.close()
+        self._errors.close()
 
     def _next(self) -> dict[str, Any]:
         line = self._lines.readline()
         if not line:
-            self.process.wait(ENDING_S)
+            self._reader.join(ENDING_S)
             self.check()
         found: dict[str, Any] = json.loads(line)
         return found
 
     def _read_said(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
+        for line in self._errors:
             self._said.append(line.strip())
 
 
@@ -222,15 +249,18 @@ class SpawnedStarTracker(StarTracker):
         self._scenario = scenario
         self._begun = False
         self._unit = settings.unit
-        arguments = [settings.unit, "--link", link, "--store", "none"]
-        if settings.dialect is not None:
-            arguments += ["--dialect", settings.dialect]
-        if node is not None:
-            arguments += ["--node", str(node)]
         if journal is not None:
             journal.parent.mkdir(parents=True, exist_ok=True)
-            arguments += ["--journal", str(journal)]
-        self.process = UnitProcess(arguments)
+        self.process = UnitProcess(
+            {
+                "unit": settings.unit,
+                "dialect": settings.dialect,
+                "link": link,
+                "node": node,
+                "store": "none",
+                "journal": None if journal is None else str(journal),
+            }
+        )
         self.supervised = _Asked(self.process)
         try:
             self.process.await_ready()

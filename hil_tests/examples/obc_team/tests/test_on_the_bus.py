@@ -23,7 +23,7 @@ def test_a_power_cut_makes_it_safe_until_the_tracker_is_back(star_tracker, fligh
 
 
 def test_it_hears_its_own_of_two_trackers(star_tracker, flight, start, bench):
-    other = bench.unit("zy3")
+    other = bench.unit()
     backup = start(other)
     bench.until(lambda: flight.state == backup.state == "POINTING")
     star_tracker.power_off()
