@@ -214,7 +214,8 @@ def run_unit(options: RunOptions) -> None:
             if request is None:
                 return
         if request is not None and (given := request.get("with", {}).get("scenario")) is not None:
-            scenario = validate(Scenario, given, "--control: scenario")
+            now = {"start_utc": datetime.now(UTC).isoformat()}  # its OBC keeps the computer's time
+            scenario = validate(Scenario, now | given, "--control: scenario")
         elif options.scenario is None:
             scenario = scenario_of(options, live)  # power comes on now
         worker = FrameWorker() if speed != math.inf else None

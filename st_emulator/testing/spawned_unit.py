@@ -17,7 +17,6 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -281,7 +280,6 @@ class SpawnedStarTracker(StarTracker):
         table = None
         if self._scenario is not None:
             table = self._scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)
-            table.setdefault("start_utc", datetime.now(UTC).isoformat())  # its OBC keeps the computer's time
         self.process.ask("begin", scenario=table)
         self._begun = True
 
