@@ -59,8 +59,8 @@ class Project:
         return path
 
     def command(self, *arguments: str) -> list[str]:
-        return [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--basetemp", str(self.folder / "tmp"),
-                "--rootdir", str(self.folder), *arguments]  # fmt: skip
+        temporary = ["--basetemp", str(self.folder / "tmp"), "-p", "no:cacheprovider"]
+        return [sys.executable, "-m", "pytest", *temporary, "--rootdir", str(self.folder), *arguments]
 
     def run(self, *arguments: str, **environment: str) -> Outcome:
         run = subprocess.run(

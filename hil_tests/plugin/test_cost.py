@@ -15,10 +15,10 @@ def test_nothing_is_loaded_until_a_unit_is_asked_for():
 MINUTE = """
 def test_a_minute(star_tracker, bench):
     star_tracker.boot()
-    before, frames = bench.clock.events, star_tracker.emulator.device.frame_counters.frames_processed
+    before = bench.clock.events
     star_tracker.run(60)
-    assert bench.clock.events - before < 20 * 60, "no more than a few steps a second, whatever the computer does"
-    assert star_tracker.emulator.device.frame_counters.frames_processed == frames == 0
+    assert bench.clock.events - before < 20 * 60, "a few steps a second, whatever the computer does"
+    assert star_tracker.emulator.device.frame_counters.frames_processed == 0
     assert star_tracker.emulator.now_ns == bench.clock.now_ns
 
 def test_time_is_never_slept(star_tracker, obc, bench, monkeypatch):

@@ -60,8 +60,9 @@ def test_the_journal_lies_where_it_is_asked_for_and_is_a_run(project: Project, t
     project.write(
         "test_it.py",
         "def test_it(star_tracker, obc, bench):\n"
-        "    obc.ping()\n    star_tracker.power_off()\n    bench.run(1)\n    star_tracker.power_on()\n"
-        "    star_tracker.faults.inject('line.frames_lost', duration_s=2)\n    bench.run(4)\n    obc.ping()\n",
+        "    obc.ping()\n    star_tracker.power_off()\n    bench.run(1)\n"
+        "    star_tracker.power_on()\n    star_tracker.faults.inject('line.frames_lost', duration_s=2)\n"
+        "    bench.run(4)\n    obc.ping()\n",
     )
     folder = tmp_path / "journals"
     assert project.run("-q", "--st-journal", str(folder)).status == 0
