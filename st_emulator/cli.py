@@ -198,6 +198,15 @@ def run(
         ),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+    supervisor: Annotated[
+        int | None,
+        typer.Option(
+            "--supervisor",
+            metavar="FD",
+            help="For a program that starts a unit: a socket's descriptor for mode, truth, faults and power. "
+            "The unit waits for `begin`, and ends when the other end closes.",
+        ),
+    ] = None,
 ) -> None:
     """Run a unit on a line until stopped (Ctrl-C) or until the scenario's end."""
     from .commands.running import RunOptions, run_unit
@@ -218,6 +227,7 @@ def run(
             seconds=seconds,
             store=store,
             quiet=quiet,
+            supervisor=supervisor,
             lockstep=lockstep,
             control=control,
             token_file=token_file,

@@ -59,3 +59,17 @@ prepare_environment() {
     fi
     cd "$back" || fail "$back: no such folder"
 }
+
+require_program() {
+    # usage: require_program PROGRAM PACKAGE...   Installs Debian packages where that is allowed.
+    command -v "$1" >/dev/null 2>&1 && return
+    local program=$1
+    shift
+    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then
+        say "$program is missing: installing $* with apt-get"
+        { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"; } >&2 ||
+            fail "apt-get could not install $*."
+    else
+        fail "$program is missing. On Debian, as root: apt-get install $*"
+    fi
+}

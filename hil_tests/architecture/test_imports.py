@@ -44,11 +44,17 @@ def test_ports_are_opened_in_links_alone():
     assert users("pty", "tty", "termios") == terminals
     locks = {"st_emulator/commands/running.py", "st_emulator/links/can/slcan.py"}  # a file, an adapter
     assert users("fcntl") == terminals | locks
+    beside = {  # no wire: what a program that starts units asks them
+        "st_emulator/drivers/supervisor_socket.py",
+        "st_emulator/testing/spawned_unit.py",
+        "st_emulator/testing/unit_server.py",
+    }
     assert users("socket", "select") <= {
         "st_emulator/links/serial_port.py",
         "st_emulator/drivers/realtime.py",
     } | {
         *CAN_LINKS,
+        *beside,
         "st_emulator/links/network_interface.py",
         "st_emulator/obc/reading.py",
     }
@@ -69,6 +75,7 @@ CLOCKS = {
     "st_emulator/drivers/realtime.py": {"time.monotonic_ns"},  # the pacer
     "st_emulator/links/pty.py": {"time.monotonic_ns"},  # how long nobody has read
     "st_emulator/obc/reading.py": {"time.monotonic_ns", "datetime.now"},  # the OBC is a real-time program
+    "st_emulator/testing/clock.py": {"time.monotonic_ns", "time.sleep"},  # waits for units in real time
     "st_emulator/commands/demo.py": {"time.monotonic", "time.sleep"},  # waits for another process
     "st_emulator/commands/running.py": {"datetime.now"},  # the date at which a live world starts
     "st_emulator/campaigns/registry.py": {"time.perf_counter"},  # how long a campaign took

@@ -91,7 +91,9 @@ def test_the_wheel_holds_everything_under_one_name(wheel):
     assert names - info == expected
     assert any(name.endswith("licenses/LICENSE") for name in info)
     entry_points = next(name for name in info if name.endswith("entry_points.txt"))
-    assert b"st-emulator = st_emulator.cli:main" in zipfile.ZipFile(wheel).read(entry_points)
+    said = zipfile.ZipFile(wheel).read(entry_points)
+    assert b"st-emulator = st_emulator.cli:main" in said
+    assert b"[pytest11]\nst_emulator = st_emulator.pytest_plugin" in said
 
 
 def clean_environment(**more: str) -> dict[str, str]:

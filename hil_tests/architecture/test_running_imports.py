@@ -42,7 +42,7 @@ def test_a_running_unit_does_not_load(loaded, package):
     assert not [name for name in loaded if name == package or name.startswith(f"{package}.")]
 
 
-@pytest.mark.parametrize("room", ["obc", "campaigns", "demo", "pictures", "cli"])
+@pytest.mark.parametrize("room", ["obc", "campaigns", "demo", "pictures", "cli", "testing", "pytest_plugin"])
 def test_a_running_unit_does_not_load_the_room(loaded, room):
     own = f"st_emulator.{room}"
     assert not [name for name in loaded if name == own or name.startswith(f"{own}.")]

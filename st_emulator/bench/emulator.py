@@ -229,9 +229,20 @@ class Emulator:
         """What leaves the unit goes there from now on, as with the argument ``transmit``."""
         self._external_transmit = transmit
 
+    def power(self, on: bool) -> None:
+        """Switch the power at the present time; it has come on by itself at the start. Nothing
+        where it is so."""
+        if on == self.device.powered:
+            return
+        self._fault_done("power", "on" if on else "off")
+        if on:
+            self.device.power_on()
+        else:
+            self.device.power_off()
+
     def do(self, what: str, content: Any) -> None:
-        """Do again what a journal says was done to the run: "inject" a fault, "clear" one, "truth" gives a
-        sample of it.
+        """Do again what a journal says was done to the run: "inject" a fault, "clear" one, "power" is
+        switched, "truth" gives a sample of it.
 
         Raises:
             ConfigurationError: it makes no sense here.
@@ -241,6 +252,8 @@ class Emulator:
                 self.faults.inject(content)
             case "clear":
                 self.faults.clear(int(content))
+            case "power" if content in ("on", "off"):
+                self.power(content == "on")
             case "truth" if isinstance(self.trajectory, SampledTrajectory):
                 try:
                     self.trajectory.add(TruthSample.of(content))

@@ -20,6 +20,21 @@ from .scenario import Scenario
 CAPACITY_BYTES = 1 << 22
 
 
+def can_transport_of(profile: UnitProfile, wiring: CanWiring) -> CanTransport:
+    """How an OBC talks to a unit that is wired like this to a CAN bus."""
+    settings = wiring.port_settings(profile.can)
+    return CanTransport(
+        settings.identifiers,
+        CanSettings(
+            fd=settings.fd,
+            padding=settings.padding,
+            timeout_ns=settings.timeout_ns,
+            bitrate=settings.bus.bitrate,
+            data_bitrate=settings.bus.data_bitrate,
+        ),
+    )
+
+
 class JoinedBench:
     """A unit that speaks PUS and its OBC.
 
@@ -50,21 +65,7 @@ class JoinedBench:
             apid=profile.apid,
             source_id=profile.wire.source_id,
             reader=reader,
-            transport=SlipTransport(self.emulator.baud) if can is None else self._can_transport(profile, can),
-        )
-
-    @staticmethod
-    def _can_transport(profile: UnitProfile, wiring: CanWiring) -> CanTransport:
-        settings = wiring.port_settings(profile.can)
-        return CanTransport(
-            settings.identifiers,
-            CanSettings(
-                fd=settings.fd,
-                padding=settings.padding,
-                timeout_ns=settings.timeout_ns,
-                bitrate=settings.bus.bitrate,
-                data_bitrate=settings.bus.data_bitrate,
-            ),
+            transport=SlipTransport(self.emulator.baud) if can is None else can_transport_of(profile, can),
         )
 
     def _transmitted(self, data: bytes, t_ns: int) -> int:

@@ -5,8 +5,9 @@ replayed alone. Then one line a group of bytes: ``{"t_ns": 1234, "rx": "c0..."}`
 put on the line, ``"tx"`` when the unit's last bit of the group has left. On a CAN bus a group is the record
 of a frame (see ``protocol.can.frames``); ``"refused"`` is one that the link did not take. What somebody did
 to the run from outside stands there as well: ``"inject"`` is a fault that was put in live, ``"stand"`` one of
-somebody's own, ``"clear"`` the number of one that was ended so, ``"truth"`` a sample of the true attitude.
-``"note"`` is for people. It holds virtual times only: the same run gives the same file at any speed.
+somebody's own, ``"clear"`` the number of one that was ended so, ``"power"`` its switch, ``"truth"`` a sample
+of the true attitude. ``"note"`` is for people. It holds virtual times only: the same run gives the same file
+at any speed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from ..errors import ConfigurationError
 
 FORMAT = "st-emulator journal 1"
 DIRECTIONS = ("rx", "tx", "refused")
-DOINGS = ("inject", "stand", "clear", "truth")
+DOINGS = ("inject", "stand", "clear", "power", "truth")
 
 
 class TextSink(Protocol):

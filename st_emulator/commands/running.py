@@ -18,16 +18,19 @@ from rich.markup import escape
 from ..bench.emulator import Emulator
 from ..bench.scenario import Scenario, load_scenario
 from ..bench.scenario_inputs import check_inputs
+from ..bench.supervision import FrameTimes, Supervision, answers_of
 from ..clock import NS_PER_S
 from ..device.imaging import Lazy
 from ..device.store import FileStore, Store, VolatileStore
 from ..dialects.registry import dialect_of, require_wire, with_dialect
 from ..drivers.realtime import FrameWorker, StopSignal, run_lockstep, run_paced, run_unpaced
+from ..drivers.supervisor_socket import SupervisorSocket
 from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
 from ..links import Link, LinkSpecification, open_link, parse_link
 from ..report import require_json_path
 from ..units.profile import UnitProfile, load_unit
+from ..units.validation import validate
 from ..wire.can.wiring import CanWiring
 from ..world.recorded import RecordedFrames
 from ..world.sampled import SampledTrajectory
@@ -60,6 +63,7 @@ class RunOptions:
     token_file: Path | None = None
     attitude: str | None = None
     json_path: str | None = None
+    supervisor: int | None = None
 
 
 def parse_speed(text: str) -> float:
@@ -172,6 +176,11 @@ def run_unit(options: RunOptions) -> None:
             f"--speed {options.speed} with --link {link_text}: a live OBC keeps its own time, so only "
             "--speed 1 is allowed; use --link none (telecommands from the scenario) for other speeds"
         )
+    if options.supervisor is not None and (speed == math.inf or options.lockstep is not None):
+        raise ConfigurationError(
+            f"--supervisor {options.supervisor}: allowed is a unit that keeps time, without --speed max and "
+            "--lockstep"
+        )
     if options.node is not None and specification.kind != "can":
         raise ConfigurationError(f"--node {options.node}: only with --link can:...; {link_text} has no nodes")
     profile = with_dialect(load_unit(options.unit), options.dialect)
@@ -197,6 +206,9 @@ def run_unit(options: RunOptions) -> None:
     with contextlib.ExitStack() as stack:
         stack.callback(stop.close)
         stack.enter_context(stop.installed())
+        supervisor = None if options.supervisor is None else SupervisorSocket(options.supervisor)
+        if supervisor is not None:
+            stack.callback(supervisor.close)
         store, store_text = open_store(stack, options, profile, live)
         link = stack.enter_context(
             open_link(specification, "unit", profile.wire.baud, profile.name, profile.can.bitrate)
@@ -211,7 +223,16 @@ def run_unit(options: RunOptions) -> None:
         except KeyboardInterrupt:
             console.print("stopped before power-on")
             return
-        if options.scenario is None:
+        request = None
+        if supervisor is not None:
+            supervisor.ready(link=link.name, pid=os.getpid())
+            request = supervisor.await_first("begin")
+            if request is None:
+                return
+        if request is not None and (given := request.get("with", {}).get("scenario")) is not None:
+            now = {"start_utc": datetime.now(UTC).isoformat()}  # its OBC keeps the computer's time
+            scenario = validate(Scenario, now | given, "--supervisor: scenario")
+        elif options.scenario is None:
             scenario = scenario_of(options, live)  # power comes on now
         paced = speed != math.inf and options.lockstep is None
         worker = FrameWorker() if paced else None
@@ -222,6 +243,7 @@ def run_unit(options: RunOptions) -> None:
             written = link.write(data)
             return None if specification.kind == "none" else written  # without a link nothing is refused
 
+        times = FrameTimes()
         emulator = Emulator(
             profile,
             scenario,
@@ -237,7 +259,11 @@ def run_unit(options: RunOptions) -> None:
             baud=specification.baud,
             can=wiring_of(profile, specification, link, options.node),
             trajectory=SampledTrajectory() if options.attitude == "outside" else None,
+            on_completed=times.completed,
         )
+        if supervisor is not None and request is not None:
+            supervisor.serve(answers_of(Supervision(emulator, times)))
+            supervisor.answer(request)
         until_ns = None if duration_s is None else round(duration_s * NS_PER_S)
         control = None
         if control_asked is not None and token is not None:
@@ -260,6 +286,7 @@ def run_unit(options: RunOptions) -> None:
                     until_ns=until_ns,
                     on_wait=watch,
                     control=None if control is None else control.server,
+                    beside=supervisor,
                 )
         finally:
             emulator.close()

@@ -19,13 +19,18 @@ _IN_A_CHILD = (
     "from st_emulator.commands.warm_up import warm_up; "
     "warm_up(UnitProfile.model_validate_json(sys.stdin.read()))"
 )
+_warm: set[str] = set()
 
 
 def warm_up(profile: UnitProfile) -> None:
     """Run seconds of a unit in virtual time: lost in space and tracking, so that no first frame is late.
 
-    It is told by PUS, whatever the unit's own dialect is: what takes time is not on the wire.
+    It is told by PUS, whatever the unit's own dialect is: what takes time is not on the wire. A unit that is
+    warm in this process stays so.
     """
+    figures = profile.model_dump_json()
+    if figures in _warm:
+        return
     star_tables(profile)
     in_pus = profile.model_copy(update={"wire": profile.wire.model_copy(update={"dialect": "pus"})})
     scenario = Scenario(
@@ -39,6 +44,7 @@ def warm_up(profile: UnitProfile) -> None:
     emulator.advance(int(WARM_UP_S * 1e9))
     with contextlib.suppress(OSError):
         _marker().touch()
+    _warm.add(figures)
 
 
 def _marker() -> Path:

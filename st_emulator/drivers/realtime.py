@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol
 
 from ..bench.emulator import Emulator
 from ..clock import NS_PER_S
@@ -176,6 +176,14 @@ class Pace:
         return True
 
 
+class Beside(Protocol):
+    """Who is attended to between two events: ``fileno`` becomes readable when there is something to do."""
+
+    def fileno(self) -> int: ...
+
+    def attend(self) -> None: ...
+
+
 def run_paced(
     emulator: Emulator,
     link: Link,
@@ -185,11 +193,12 @@ def run_paced(
     until_ns: int | None = None,
     on_wait: Callable[[], None] = lambda: None,
     control: ControlServer | None = None,
+    beside: Beside | None = None,
 ) -> None:
     """Run at ``speed`` times real time until ``until_ns`` (virtual) or a signal.
 
     ``on_wait`` is called about twice a second when nothing is due (progress, flushing of files). ``control``
-    is served between events.
+    is served between events; ``beside`` is attended to at the present time when it asks for it.
     """
     descriptor = link.fileno()
     pace = Pace(speed)
@@ -215,14 +224,16 @@ def run_paced(
                 on_wait()
                 continue
             wait_s = min(max(wait_s, 0.0), LONGEST_WAIT_S if descriptor is not None else POLL_S)
-            waited_for: list[Any] = [stop] if descriptor is None else [stop, descriptor]
+            waited_for: list[Any] = [item for item in (stop, descriptor, beside) if item is not None]
             readers, writers = ([], []) if control is None else (control.readers(), control.writers())
             ready, writable, _ = select.select([*waited_for, *readers], writers, [], wait_s)
+            asked = bool(writable) or any(one is beside or one in readers for one in ready)
+            if asked and not pace.held_up(emulator):
+                emulator.advance(pace.now_ns())  # what a client sees and does is of now
             if control is not None:
-                asked = bool(writable) or any(one in readers for one in ready)
-                if asked and not pace.held_up(emulator):
-                    emulator.advance(pace.now_ns())  # what a client sees and does is of now
                 control.serve()
+            if beside is not None and beside in ready:
+                beside.attend()
             if descriptor is None or descriptor in ready:
                 data = link.read()
                 if data:
