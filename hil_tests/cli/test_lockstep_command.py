@@ -266,7 +266,8 @@ def test_a_port_that_is_taken(tmp_path):
 def test_a_client_imports_little():
     program = (
         "import sys, json\nimport st_emulator.lockstep_client\n"
-        "print(json.dumps(sorted(n for n in sys.modules if n.startswith('st_emulator'))), 'numpy' in sys.modules)"
+        "own = sorted(n for n in sys.modules if n.startswith('st_emulator'))\n"
+        "print(json.dumps(own), 'numpy' in sys.modules)"
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE_S)
     assert run.stdout.strip() == (

@@ -112,7 +112,7 @@ POINTING = "kind = '{kind}'\naltitude_km = 500\ninclination_deg = 97\n"
         (POINTING.format(kind="target") + "ra_deg = 5", ("needs one of",)),
         (POINTING.format(kind="target") + "ra_deg = 5\ndec_deg = 1\nhip = 3", ("needs one of",)),
         (POINTING.format(kind="target") + "latitude_deg = 91\nlongitude_deg = 1", ("latitude_deg", "to 90")),
-        (POINTING.format(kind="target") + "hip = 120003", ("hip = 120003", "no star")),
+        (POINTING.format(kind="target") + "hip = 421", ("hip = 421", "no star")),
         (POINTING.format(kind="nadir") + "boresight = [0, 0, 0]", ("boresight", "not all zero")),
         (POINTING.format(kind="sun") + "ra_deg = 5", ("trajectory.ra_deg", "not a known key", "boresight")),
         (

