@@ -43,6 +43,7 @@ from .journal import JournalWriter, TextSink
 from .scenario import Scenario
 from .scenario_inputs import parameters_of, telecommands_of
 from .star_tables import star_tables
+from .trajectory_file import with_content
 from .world_of import scene_of
 
 # Samples of the truth this old are still there, for who wants to know what a frame in processing has seen.
@@ -134,7 +135,7 @@ class Emulator:
         on_completed: Callable[[FrameRecord], None] = lambda record: None,
     ) -> None:
         self.profile = profile
-        self.scenario = scenario or Scenario()
+        self.scenario = with_content(scenario or Scenario())
         self.seed = self.scenario.seed if seed is None else seed
         self.baud = baud or profile.wire.baud
         self.can = can

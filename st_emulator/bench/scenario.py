@@ -15,115 +15,51 @@ from pydantic import Field, model_validator
 from ..faults.catalogue import AnyFault
 from ..units.profile import NonNegative, Positive
 from ..units.validation import Section, Switch, parse_toml, read_text, validate
+from .trajectory_sections import (
+    ConstantRateTrajectory,
+    DetumbleTrajectory,
+    EarthFixedTrajectory,
+    FileTrajectory,
+    HoldSegment,
+    InertialTrajectory,
+    NadirTrajectory,
+    OrbitTrajectory,
+    Pointing,
+    RateSegment,
+    SlewSegment,
+    SlewTrajectory,
+    SunTrajectory,
+    TargetTrajectory,
+    Trajectory,
+)
+
+__all__ = [
+    "ConstantRateTrajectory",
+    "DetumbleTrajectory",
+    "EarthFixedTrajectory",
+    "FileTrajectory",
+    "HoldSegment",
+    "InertialTrajectory",
+    "NadirTrajectory",
+    "OrbitTrajectory",
+    "Pointing",
+    "RateSegment",
+    "Scenario",
+    "ScenarioTelecommand",
+    "Sky",
+    "SlewSegment",
+    "SlewTrajectory",
+    "SunTrajectory",
+    "TargetTrajectory",
+    "Trajectory",
+    "load_scenario",
+    "parse_scenario",
+]
 
 # UTC has whole leap seconds from 1972 on; the on-board time, four octets of seconds since 1958, ends in 2094.
 FIRST_START = datetime(1972, 1, 1, tzinfo=UTC)
 END_OF_STARTS = datetime(2090, 1, 1, tzinfo=UTC)
 DEFAULT_START = datetime(2026, 1, 15, tzinfo=UTC)
-
-RightAscension = Annotated[
-    float, Field(ge=0, lt=360, description="ICRS right ascension of the boresight, degrees")
-]
-Declination = Annotated[float, Field(ge=-90, le=90, description="ICRS declination of the boresight, degrees")]
-Roll = Annotated[
-    float, Field(ge=-360, le=360, description="position angle of image up (-Y), degrees east of north")
-]
-Vector3 = tuple[float, float, float]
-
-
-class Pointing(Section):
-    ra_deg: RightAscension
-    dec_deg: Declination
-    roll_deg: Roll = 0.0
-
-
-class InertialTrajectory(Pointing):
-    """At rest to the stars."""
-
-    kind: Literal["inertial"] = "inertial"
-
-
-class ConstantRateTrajectory(Pointing):
-    """A constant angular rate in sensor axes from the pointing at power-on."""
-
-    kind: Literal["constant_rate"]
-    rate_deg_s: Annotated[
-        Vector3, Field(description="rate of the sensor to ICRS, sensor axes x, y, z, deg/s")
-    ]
-
-
-class EarthFixedTrajectory(Pointing):
-    """At rest on the turning Earth; the pointing is that of power-on.
-
-    With a site (geodetic, WGS 84, east positive) the observer also has a place and a velocity.
-    """
-
-    kind: Literal["earth_fixed"]
-    latitude_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
-    longitude_deg: Annotated[float, Field(ge=-180, le=360)] | None = None
-
-    @model_validator(mode="after")
-    def _whole_site(self) -> EarthFixedTrajectory:
-        if (self.latitude_deg is None) != (self.longitude_deg is None):
-            raise ValueError("a site needs both latitude_deg and longitude_deg")
-        return self
-
-
-class HoldSegment(Section):
-    kind: Literal["hold"]
-    duration_s: Positive
-
-
-class SlewSegment(Section):
-    """A smooth turn by the shortest way to a pointing, at rest at both ends."""
-
-    kind: Literal["slew_to"]
-    duration_s: Positive
-    ra_deg: RightAscension
-    dec_deg: Declination
-    roll_deg: Roll = 0.0
-
-
-class RateSegment(Section):
-    """A constant rate in sensor axes, reached and left within ramp_s (0: at once)."""
-
-    kind: Literal["rate"]
-    duration_s: Positive
-    rate_deg_s: Vector3
-    ramp_s: NonNegative = 0.5
-
-
-Segment = Annotated[HoldSegment | SlewSegment | RateSegment, Field(discriminator="kind")]
-
-
-class SlewTrajectory(Pointing):
-    """Segments one after the other, from the pointing at power-on; after the last the attitude is held."""
-
-    kind: Literal["slew"]
-    segments: Annotated[list[Segment], Field(min_length=1)]
-
-
-class OrbitTrajectory(Section):
-    """A circular orbit, the sensor turning with the orbital frame (x along velocity, z to nadir)."""
-
-    kind: Literal["orbit"]
-    altitude_km: Annotated[float, Field(ge=150, le=40000)]
-    inclination_deg: Annotated[float, Field(ge=0, le=180)]
-    raan_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
-    argument_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
-    boresight: Annotated[
-        Vector3,
-        Field(
-            description="boresight in the orbital frame: x along velocity, y against the normal, z to nadir"
-        ),
-    ] = (0.0, 0.0, -1.0)
-    roll_deg: Annotated[float, Field(ge=-360, le=360, description="turn about the boresight")] = 0.0
-
-
-Trajectory = Annotated[
-    InertialTrajectory | ConstantRateTrajectory | EarthFixedTrajectory | SlewTrajectory | OrbitTrajectory,
-    Field(discriminator="kind"),
-]
 
 
 class Sky(Section):

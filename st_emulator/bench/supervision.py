@@ -1,7 +1,8 @@
 """What stands beside a unit: its true mode and attitude, its faults, its power. Never part of its wire.
 
 Tests look and reach into a unit by it, in the same process or over a descriptor
-(``drivers/supervisor_socket.py``): so what goes in and comes out are numbers, texts, lists and dictionaries alone.
+(``drivers/supervisor_socket.py``): so what goes in and comes out are numbers, texts, lists and dictionaries
+alone.
 """
 
 from __future__ import annotations

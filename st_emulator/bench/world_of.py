@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import numpy as np
+
 from ..compiled_kernels import keep_compiled_kernels
 from ..errors import ConfigurationError
 from ..units.profile import UnitProfile
-from ..world import orbit, slew, trajectory
+from ..world import detumbling, orbit, pointing, slew, trajectory
 from ..world.bodies import STEEP, Body, Earth, Moon, Sun
 from ..world.camera import CameraModel
 from ..world.false_spots import FalseSpots
@@ -15,16 +17,22 @@ from ..world.scene import SceneRenderer
 from ..world.stars import StarField, star_field
 from ..world.time_scales import julian_year
 from ..world.trajectory import Trajectory
-from .scenario import (
+from .scenario import Scenario, Sky
+from .trajectory_file import sampled_of
+from .trajectory_sections import (
     ConstantRateTrajectory,
+    DetumbleTrajectory,
     EarthFixedTrajectory,
+    FileTrajectory,
     HoldSegment,
     InertialTrajectory,
+    NadirTrajectory,
     OrbitTrajectory,
+    PointingOrbit,
     RateSegment,
-    Scenario,
-    Sky,
     SlewTrajectory,
+    SunTrajectory,
+    TargetTrajectory,
 )
 
 
@@ -108,6 +116,58 @@ def trajectory_of(scenario: Scenario, start_tai_ns: int) -> Trajectory:
                 boresight=item.boresight,
                 roll_deg=item.roll_deg,
             )
+        case NadirTrajectory():
+            return pointing.nadir_pointing(_place(item), boresight=item.boresight, roll_deg=item.roll_deg)
+        case SunTrajectory():
+            return pointing.sun_pointing(
+                _place(item), start_tai_ns=start_tai_ns, boresight=item.boresight, roll_deg=item.roll_deg
+            )
+        case TargetTrajectory():
+            return _target_pointing(item, start_tai_ns)
+        case DetumbleTrajectory():
+            return detumbling.detumbling(
+                ra_deg=item.ra_deg,
+                dec_deg=item.dec_deg,
+                roll_deg=item.roll_deg,
+                rate_deg_s=item.rate_deg_s,
+                time_constant_s=item.time_constant_s,
+            )
+        case FileTrajectory():
+            return sampled_of(scenario, item, start_tai_ns)
+
+
+def _place(item: PointingOrbit) -> orbit.OrbitTrajectory:
+    return orbit.orbit(
+        altitude_km=item.altitude_km,
+        inclination_deg=item.inclination_deg,
+        raan_deg=item.raan_deg,
+        argument_deg=item.argument_deg,
+    )
+
+
+def _target_pointing(item: TargetTrajectory, start_tai_ns: int) -> Trajectory:
+    if item.latitude_deg is not None and item.longitude_deg is not None:
+        return pointing.place_pointing(
+            _place(item),
+            latitude_deg=item.latitude_deg,
+            longitude_deg=item.longitude_deg,
+            height_m=item.height_m,
+            start_tai_ns=start_tai_ns,
+            boresight=item.boresight,
+            roll_deg=item.roll_deg,
+        )
+    if item.hip is not None:
+        field = sky_of(start_tai_ns)
+        found = np.flatnonzero(field.hip == item.hip)
+        if not len(found):
+            raise ValueError(f"hip = {item.hip}: no star of the Hipparcos catalogue has this number")
+        direction = field.unit_vectors[found[0]]
+    else:
+        assert item.ra_deg is not None
+        assert item.dec_deg is not None
+        ra, dec = np.radians([item.ra_deg, item.dec_deg])
+        direction = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    return pointing.star_pointing(_place(item), direction, boresight=item.boresight, roll_deg=item.roll_deg)
 
 
 @lru_cache(maxsize=2)

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..bench.emulator import Emulator
 from ..drivers.control_server import ControlServer, loopback_address
@@ -20,9 +20,6 @@ from ..drivers.token_file import token_of
 from ..errors import ConfigurationError
 from ..links import Link
 from .state_folder import state_folder
-
-if TYPE_CHECKING:
-    from .running import RunOptions
 
 
 @dataclass(frozen=True)
@@ -62,41 +59,37 @@ class Control:
         return f"{'lockstep' if self.steps else 'control'} on {shown}:{port}, token in {self.token_file}"
 
 
-def control_options(options: RunOptions) -> ControlOptions | None:
+def control_options(
+    *, lockstep: str | None, control: str | None, token_file: Path | None, attitude: str | None, speed: str
+) -> ControlOptions | None:
     """What the options ask for; None without a control socket.
 
     Raises:
         ConfigurationError: options that do not go together, an address that is not loopback, a bad token
             file.
     """
-    if options.attitude not in (None, "scenario", "outside"):
-        raise ConfigurationError(f"--attitude {options.attitude}: allowed are scenario and outside")
-    if options.attitude == "outside" and options.lockstep is None:
+    if attitude not in (None, "scenario", "outside"):
+        raise ConfigurationError(f"--attitude {attitude}: allowed are scenario and outside")
+    if attitude == "outside" and lockstep is None:
         raise ConfigurationError(
             "--attitude outside: only with --lockstep; a run that is paced by the computer would ask for a "
             "future that nobody outside knows"
         )
-    if options.lockstep is not None and options.control is not None:
+    if lockstep is not None and control is not None:
+        raise ConfigurationError(f"--control {control}: --lockstep serves all of it; allowed is one of them")
+    if lockstep is not None and speed != "1":
         raise ConfigurationError(
-            f"--control {options.control}: --lockstep serves all of it; allowed is one of them"
+            f"--speed {speed} with --lockstep: the client owns the time; allowed is no --speed"
         )
-    if options.lockstep is not None and options.speed != "1":
-        raise ConfigurationError(
-            f"--speed {options.speed} with --lockstep: the client owns the time; allowed is no --speed"
-        )
-    text = options.lockstep if options.lockstep is not None else options.control
+    text = control if lockstep is None else lockstep
     if text is None:
-        if options.token_file is not None:
-            raise ConfigurationError(
-                f"--lockstep-token-file {options.token_file}: only with --lockstep or --control"
-            )
+        if token_file is not None:
+            raise ConfigurationError(f"--lockstep-token-file {token_file}: only with --lockstep or --control")
         return None
-    steps = options.lockstep is not None
-    if not steps and options.speed == "max":
+    steps = lockstep is not None
+    if not steps and speed == "max":
         raise ConfigurationError("--control with --speed max: allowed are speeds from 0.01 to 1000")
-    return ControlOptions(
-        loopback_address(text, "--lockstep" if steps else "--control"), steps, options.token_file
-    )
+    return ControlOptions(loopback_address(text, "--lockstep" if steps else "--control"), steps, token_file)
 
 
 def token_for(stack: contextlib.ExitStack, control: ControlOptions) -> tuple[Path, str]:

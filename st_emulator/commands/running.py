@@ -19,6 +19,7 @@ from ..bench.emulator import Emulator
 from ..bench.scenario import Scenario, load_scenario
 from ..bench.scenario_inputs import check_inputs
 from ..bench.supervision import FrameTimes, Supervision, answers_of
+from ..bench.trajectory_file import truth_ends_ns, with_content
 from ..clock import NS_PER_S
 from ..device.imaging import Lazy
 from ..device.store import FileStore, Store, VolatileStore
@@ -29,6 +30,7 @@ from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
 from ..links import Link, LinkSpecification, open_link, parse_link
 from ..report import require_json_path
+from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile, load_unit
 from ..units.validation import validate
 from ..wire.can.wiring import CanWiring
@@ -88,8 +90,25 @@ def scenario_of(options: RunOptions, live: bool) -> Scenario:
     time by a real clock; a unit without an OBC starts at a fixed date, so that every run is the same.
     """
     if options.scenario is not None:
-        return load_scenario(options.scenario)
+        return with_content(load_scenario(options.scenario))
     return Scenario(start_utc=datetime.now(UTC)) if live else Scenario()
+
+
+def within_truth(scenario: Scenario, duration_s: float | None) -> float | None:
+    """How long a run lasts that was to last ``duration_s``: at most as long as its trajectory is known.
+
+    Raises:
+        ConfigurationError: it was to last longer.
+    """
+    ends_ns = truth_ends_ns(scenario, tai_ns_from_utc(scenario.start_utc))
+    if ends_ns is None:
+        return duration_s
+    if duration_s is not None and math.isfinite(duration_s) and duration_s * NS_PER_S > ends_ns:
+        raise ConfigurationError(
+            f"{scenario.where}: the run is to last {duration_s:g} s, its trajectory's file "
+            f"{ends_ns / NS_PER_S:.9g} s; allowed are runs that it covers"
+        )
+    return ends_ns / NS_PER_S if duration_s is None else duration_s
 
 
 def open_store(
@@ -165,7 +184,13 @@ def run_unit(options: RunOptions) -> None:
     """
     console = Console(quiet=options.quiet, stderr=True, soft_wrap=True, highlight=False)
     speed = parse_speed(options.speed)
-    control_asked = control_options(options)
+    control_asked = control_options(
+        lockstep=options.lockstep,
+        control=options.control,
+        token_file=options.token_file,
+        attitude=options.attitude,
+        speed=options.speed,
+    )
     require_json_path(options.json_path)
     waits_for_nobody = speed != 1 or options.lockstep is not None
     link_text = options.link if options.link is not None else ("none" if waits_for_nobody else "pty")
@@ -189,6 +214,8 @@ def run_unit(options: RunOptions) -> None:
     scenario = scenario_of(options, live)
     check_inputs(profile, scenario)
     duration_s = options.seconds if options.seconds is not None else scenario.duration_s
+    if options.attitude != "outside" and options.frames is None:
+        duration_s = within_truth(scenario, duration_s)
     if duration_s is not None and not math.isfinite(duration_s):
         raise ConfigurationError(f"--seconds {duration_s:g}: allowed is a finite number of seconds")
     if duration_s is None and speed == math.inf:

@@ -44,12 +44,18 @@ class OrbitTrajectory:
                 np.cos(inclination_rad),
             ]
         )
+        self.node, self.normal = node, normal
         across = np.cross(normal, node)
         self._outward = np.cos(argument_rad) * node + np.sin(argument_rad) * across
         self._forward = np.cos(argument_rad) * across - np.sin(argument_rad) * node
         self._q_start = quaternion.from_matrix(np.stack((self._forward, -normal, -self._outward)))
         self._q_mount = quaternion.canonical(q_orbital_to_sensor)
         self._spin = np.array(spin_rad_s, dtype=np.float64)
+
+    node: Array
+    """Unit vector to the ascending node, ICRS."""
+    normal: Array
+    """Unit vector along the angular momentum, ICRS."""
 
     @property
     def mean_motion_rad_s(self) -> float:
@@ -99,23 +105,30 @@ def orbit(
     """
     if not 100.0 <= altitude_km <= 400_000.0:
         raise ValueError(f"altitude_km is {altitude_km}; allowed is 100 to 400000")
-    z_axis = np.array(boresight, dtype=np.float64)
-    if z_axis.shape != (3,) or not np.all(np.isfinite(z_axis)) or not np.any(z_axis):
-        raise ValueError(f"boresight has to be three finite numbers, not all zero, not {boresight!r}")
     spin = np.radians(np.array(spin_deg_s, dtype=np.float64))
     if spin.shape != (3,) or not np.all(np.isfinite(spin)):
         raise ValueError(f"spin_deg_s has to be three finite numbers, not {spin_deg_s!r}")
+    return OrbitTrajectory(
+        radius_km=EARTH_RADIUS_KM + altitude_km,
+        inclination_rad=float(np.radians(inclination_deg)),
+        raan_rad=float(np.radians(raan_deg)),
+        argument_rad=float(np.radians(argument_deg)),
+        q_orbital_to_sensor=mounting(boresight, roll_deg),
+        spin_rad_s=spin,
+    )
+
+
+def mounting(boresight: ArrayLike, roll_deg: float) -> Array:
+    """Quaternion from a spacecraft's frame to the sensor whose boresight lies along ``boresight`` in it; the
+    turn about it as `orbit` says. Raises ValueError for a boresight that is none.
+    """
+    z_axis = np.array(boresight, dtype=np.float64)
+    if z_axis.shape != (3,) or not np.all(np.isfinite(z_axis)) or not np.any(z_axis):
+        raise ValueError(f"boresight has to be three finite numbers, not all zero, not {boresight!r}")
     z_axis = z_axis / np.linalg.norm(z_axis)
     reference = np.array([1.0, 0.0, 0.0]) if abs(z_axis[0]) < 0.999 else np.array([0.0, 0.0, 1.0])
     x_axis = reference - z_axis * (reference @ z_axis)
     x_axis = x_axis / np.linalg.norm(x_axis)
     unrolled = quaternion.from_matrix(np.stack((x_axis, np.cross(z_axis, x_axis), z_axis)))
     rolled = quaternion.from_rotation_vector(np.radians([0.0, 0.0, roll_deg]))
-    return OrbitTrajectory(
-        radius_km=EARTH_RADIUS_KM + altitude_km,
-        inclination_rad=float(np.radians(inclination_deg)),
-        raan_rad=float(np.radians(raan_deg)),
-        argument_rad=float(np.radians(argument_deg)),
-        q_orbital_to_sensor=quaternion.multiply(rolled, unrolled),
-        spin_rad_s=spin,
-    )
+    return quaternion.multiply(rolled, unrolled)

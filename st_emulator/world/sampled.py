@@ -32,6 +32,7 @@ from .trajectory import Instants
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
+DIRECTIONS = ("q_icrs_to_sensor", "sun_direction")
 _SMALL_RAD = 1e-4
 _LONGEST_TURN_RAD = math.pi
 
@@ -59,9 +60,10 @@ class BeyondTruthError(Exception):
 class TruthSample:
     """What is true at one instant.
 
-    t_ns: virtual time. q_icrs_to_sensor: attitude [x, y, z, w], of any length and sign. rate_rad_s: of the
-    sensor relative to ICRS, sensor axes. position_km, velocity_km_s: geocentric, ICRS axes. sun_direction:
-    from the observer to the Sun, ICRS axes, of any length; it takes the place of the ephemeris's.
+    t_ns: virtual time, negative before power-on. q_icrs_to_sensor: attitude [x, y, z, w], of any length and
+    sign. rate_rad_s: of the sensor relative to ICRS, sensor axes. position_km, velocity_km_s: geocentric,
+    ICRS axes. sun_direction: from the observer to the Sun, ICRS axes, of any length; it takes the place of
+    the ephemeris's.
     """
 
     t_ns: int
@@ -81,17 +83,22 @@ class TruthSample:
         for name in values:
             if name not in names:
                 raise ValueError(f"{name}: is not a known item; allowed are {', '.join(names)}")
-        t_ns = values.get("t_ns")
-        if not isinstance(t_ns, int) or isinstance(t_ns, bool) or not 0 <= t_ns < 2**63:
-            raise ValueError(f"t_ns: found {t_ns!r:.60}; allowed is a whole number of nanoseconds from 0")
-        attitude = _numbers("q_icrs_to_sensor", values.get("q_icrs_to_sensor"), 4)
-        vectors = {
-            name: None if values.get(name) is None else _numbers(name, values[name], 3) for name in names[2:]
-        }
-        for name, length in (("q_icrs_to_sensor", attitude), ("sun_direction", vectors["sun_direction"])):
-            if length is not None and not 1e-100 < math.hypot(*length) < 1e100:
-                raise ValueError(f"{name}: found {list(length)}; allowed are numbers that are not all zero")
-        return cls(t_ns, attitude, **vectors)
+        if "t_ns" not in values or "q_icrs_to_sensor" not in values:
+            raise ValueError("t_ns and q_icrs_to_sensor: are needed in each sample")
+        return cls(**values)
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for values that are no sample. Sequences and arrays become tuples."""
+        if not isinstance(self.t_ns, int) or isinstance(self.t_ns, bool) or not abs(self.t_ns) < 2**63:
+            raise ValueError(f"t_ns: found {self.t_ns!r:.60}; allowed is a whole number of nanoseconds")
+        for item in fields(self)[1:]:
+            value = getattr(self, item.name)
+            if value is None and item.name != "q_icrs_to_sensor":
+                continue
+            vector = _numbers(item.name, value, 4 if item.name == "q_icrs_to_sensor" else 3)
+            if item.name in DIRECTIONS and not 1e-100 < math.hypot(*vector) < 1e100:
+                raise ValueError(f"{item.name}: found {list(vector)}; allowed are numbers not all zero")
+            object.__setattr__(self, item.name, vector)
 
     def as_dict(self) -> dict[str, Any]:
         """What is given of it, with numbers and lists alone."""
@@ -144,7 +151,6 @@ class SampledTrajectory:
         """The next sample. Raises ValueError for one that is not later than the last, gives other items than
         the first, or lies too far from the last to say which way it turned.
         """
-        sample = TruthSample.of(sample.as_dict())
         if self._samples:
             self._require_next(self._samples[-1], sample)
         self._times.append(sample.t_ns)
@@ -165,13 +171,7 @@ class SampledTrajectory:
         sun_direction: Any = None,
     ) -> None:
         """`add` a sample of these values (sequences or arrays)."""
-        given = {
-            "rate_rad_s": rate_rad_s,
-            "position_km": position_km,
-            "velocity_km_s": velocity_km_s,
-            "sun_direction": sun_direction,
-        }
-        self.add(TruthSample.of({"t_ns": int(t_ns), "q_icrs_to_sensor": q_icrs_to_sensor, **given}))
+        self.add(TruthSample(t_ns, q_icrs_to_sensor, rate_rad_s, position_km, velocity_km_s, sun_direction))
 
     @staticmethod
     def _require_next(before: TruthSample, sample: TruthSample) -> None:
