@@ -126,7 +126,8 @@ def test_clock_uses_are_found():
 
 
 def test_chance_has_a_seed():
-    assert users("random", "uuid") == {"st_emulator/faults/fault.py"}  # of a fault's own seed
+    # Of a fault's own seed, and what is given a generator that has one.
+    assert users("random", "uuid") == {"st_emulator/faults/fault.py", "st_emulator/faults/chance.py"}
     assert users("secrets") == {"st_emulator/drivers/token_file.py"}  # a token is to be unknown; no result is
     for source in under("st_emulator"):
         for node in ast.walk(source.tree):
