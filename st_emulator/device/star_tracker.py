@@ -1,7 +1,7 @@
 """One star tracker: commands and frames in, reports out, in virtual time.
 
-It knows no wire, touches no port, no clock of the computer and no file but its store. Everything that changes
-its mode goes through :meth:`StarTracker._follow`, by the one table in ``firmware_model.modes``.
+It knows no wire, touches no port, no clock of the computer and no file but its store. Power, boot and mode
+are its life (``life.py``).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from ..clock import NS_PER_MS, ScheduledEvent, VirtualClock
+from ..clock import NS_PER_MS, VirtualClock
 from ..firmware_model.causes import FaultCause, FrameDropCause, ResetCause
 from ..firmware_model.configuration import StarTables
 from ..firmware_model.firmware import FirmwareState
@@ -48,20 +48,19 @@ from .counters import FrameCounters
 from .health import Health
 from .image_memory import CapturedImage, ImageMemory
 from .imaging import FrameRecord, FrameSettings, FrameSource, Imaging, Lazy, Submit
+from .life import Life
 from .memories import Memories
 from .onboard_time import OnboardTime
 from .parameters import Parameters
 from .seams import PLAIN, DeviceSeams
 from .self_test import STEPS, SelfTestRun
-from .speaker import MUTE, Speaker
 from .store import Store
 
-SILENT: Final = (Mode.BOOT, Mode.OFF)
 IDENTITY: Final[Quaternion] = (0.0, 0.0, 0.0, 1.0)
 TEMPERATURE_CDEG: Final = 2000  # ASSUMED: 20.00 deg C; no thermal model
 
 
-class StarTracker:
+class StarTracker(Life):
     """The device.
 
     Args:
@@ -89,11 +88,9 @@ class StarTracker:
         on_completed: Callable[[FrameRecord], None] = lambda record: None,
         seams: DeviceSeams = PLAIN,
     ) -> None:
+        super().__init__(clock, profile.timing.boot_ms * NS_PER_MS)
         self.profile = profile
         self._seams = seams
-        self.clock = clock
-        self.mode = Mode.OFF
-        self.powered = False
         self.time = OnboardTime()
         self.frame_counters = FrameCounters()
         self.parameters = Parameters(profile, store)
@@ -112,82 +109,28 @@ class StarTracker:
         self.last_frame_index = 0
         self.last_reasons = Reason.NOT_ACQUIRING
         self.last_quaternion = self._last_valid = IDENTITY
-        self.reset_cause = ResetCause.POWER_ON
         self._health = Health(self.memories, profile.frame_period_ns)
-        self._speaker = MUTE
         self._on_frame = on_frame
         self._on_completed = on_completed
-        self._started_ns = 0
         self._blinded = False
-        self._life = 0  # counts starts; an action scheduled in an earlier life is void
         self._setting_time: Running | None = None
         self._acquiring: Running | None = None
-        self._going_down = False
-        self._hangs = False
-        self._fault_in_boot: FaultCause | None = None
 
-    def speak_through(self, speaker: Speaker) -> None:
-        """Report to ``speaker`` from now on; before power comes on."""
-        self._speaker = speaker
+    # -- what it does in its life
 
-    def _tell(self, report: reports.Report) -> None:
-        self._speaker.on(report)
+    def _power_came(self) -> None:
+        self.imaging.start()
 
-    # -- power and life
-
-    def power_on(self) -> None:
-        """Power comes on at the present time; the frame grid runs from here. Nothing where it is on."""
-        if self.powered:
-            return
-        self.powered = True
-        self._boot(ModeEvent.POWER_ON, ResetCause.POWER_ON, self.imaging.start)
-
-    def power_off(self) -> None:
-        """Power goes, whatever runs: what waits is lost, nothing is told. Nothing where it is off."""
-        if not self.powered:
-            return
-        self.powered = False
+    def _power_went(self) -> None:
         self.imaging.halt()
-        self._off(ModeEvent.POWER_OFF)
 
-    def restart(self, cause: ResetCause) -> None:
-        """Start anew at once, as the watchdog does: what waits to be sent is lost. Nothing without power."""
-        if self.mode != Mode.OFF:
-            self._boot(ModeEvent.COMMAND_RESET, cause)
-
-    def hang(self, watchdog_ns: int) -> None:
-        """The processor hangs: nothing is sent, taken or processed until the watchdog resets it, so much
-        later. The sensor's frame grid goes on. Nothing where it is off, or hangs already.
-        """
-        if self.mode == Mode.OFF or self._hangs:
-            return
-        self._life += 1
-        self._hangs = True
-        self.imaging.stop()
-        self.imaging.cancel_capture()
-        self._tell(reports.WentOff())
-        self.later(watchdog_ns, partial(self.restart, ResetCause.WATCHDOG))
-
-    def later(self, delay_ns: int, action: Callable[[], None]) -> ScheduledEvent:
-        """Schedule an action that a reset makes void."""
-        life = self._life
-        return self.clock.after(delay_ns, lambda: action() if self._life == life else None)
-
-    def _boot(self, event: ModeEvent, cause: ResetCause, begin: Callable[[], None] = lambda: None) -> None:
-        self._life += 1
-        self._going_down = self._hangs = False
-        self._fault_in_boot = None
-        self._follow(event)
-        begin()
-        self.reset_cause = cause
-        self._tell(reports.Restarted(cause))
+    def _begin(self, cause: ResetCause) -> None:
         if cause != ResetCause.WARM_RESET:
             self._clear_counters()
             self.time.restart(self.clock.now_ns)
         self.image_memory.reset()
         self.memories.reset()
-        self.imaging.stop()
-        self.imaging.cancel_capture()
+        self._fall_still()
         self.last_frame = None
         self.last_reasons = Reason.NOT_ACQUIRING
         self.last_quaternion = self._last_valid = IDENTITY
@@ -196,76 +139,33 @@ class StarTracker:
         self.self_test.reset()
         self._health.reset()
         self.time.discard_pending()
-        self._started_ns = self.clock.now_ns
-        life = self._life
         self.parameters.load(count_start=True)
-        if self._life != life:
-            return  # power went while the start was being counted
-        self.later(self.profile.timing.boot_ms * NS_PER_MS, self._boot_done)
 
-    def _boot_done(self) -> None:
-        self._follow(ModeEvent.BOOT_DONE)
+    def _booted(self, fault: FaultCause | None) -> None:
         self._tell(
             reports.Booted(self.reset_cause, self.parameters.boot_count, self.parameters.fault_at_start)
         )
-        if self._fault_in_boot is not None:
-            self.enter_fault(self._fault_in_boot)
+        if fault is not None:
+            self.enter_fault(fault)
         elif self.parameters["autonomous_start"]:
             self.imaging.acquire()
             self._follow(ModeEvent.AUTONOMOUS_START)
 
-    def _off(self, event: ModeEvent) -> None:
-        """Nothing is sent or processed until power is cycled."""
-        self._life += 1
-        self._hangs = False
-        self._follow(event)
-        self._tell(reports.WentOff())
-
-    def _go_down(self, last: Callable[[], None]) -> None:
-        """Come to rest and do ``last`` (a reset, a shutdown) when the line is idle.
-
-        No more frames and commands; what runs is aborted, so that every command that was taken has its end.
-        """
-        self._going_down = True
+    def _come_to_rest(self) -> None:
         self.imaging.stop()
         self._tell(reports.GoingDown())
         self.image_memory.abort_capture()
         self._give_up_acquisition(Failure.ABORTED)
         self._give_up_self_test()
         self._give_up_time(Failure.ABORTED)
-        self.later(0, partial(self._when_idle, last))  # behind what is sent at this instant
 
-    def _when_idle(self, action: Callable[[], None]) -> None:
-        waiting_ns = self._speaker.drain_ns()
-        if waiting_ns:
-            self.later(waiting_ns, partial(self._when_idle, action))
-        else:
-            action()
+    def _fall_still(self) -> None:
+        self.imaging.stop()
+        self.imaging.cancel_capture()
 
     def _clear_counters(self) -> None:
         self.frame_counters.clear()
         self._tell(reports.CountersCleared())
-
-    # -- modes
-
-    def _follow(self, event: ModeEvent) -> None:
-        """Change the mode as the table says, and tell; an event that the table does not know in this mode
-        changes nothing.
-        """
-        row = transition(self.mode, event)
-        if row is not None and row.next_mode != self.mode:
-            self.mode = row.next_mode
-            self._tell(reports.ModeChanged(row))
-
-    @property
-    def listening(self) -> bool:
-        """Whether commands are taken: not in BOOT and OFF, nor on the way there, nor while it hangs."""
-        return not self.silent and not self._going_down
-
-    @property
-    def silent(self) -> bool:
-        """Whether nothing is sent: in BOOT and OFF, and while it hangs."""
-        return self._hangs or self.mode in SILENT
 
     def enter_fault(self, cause: FaultCause) -> None:
         """Stop in FAULT; nothing happens where the table does not lead there (FAULT, OFF), or while it hangs.
