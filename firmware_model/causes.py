@@ -73,7 +73,7 @@ CAUSE_MEANINGS: tuple[tuple[Enum, str], ...] = (
     (ResetCause.POWER_ON, "power was applied"),
     (ResetCause.WARM_RESET, "function RESET, warm"),
     (ResetCause.COLD_RESET, "function RESET, cold"),
-    (ResetCause.WATCHDOG, "watchdog expired (reserved: nothing raises it so far)"),
+    (ResetCause.WATCHDOG, "the watchdog expired: the processor hung"),
     (ResetCause.FAULT, "restart after a fault (reserved: nothing raises it so far)"),
     (FrameDropCause.OVERRUN, "at its read-out the processor was still busy with an earlier frame"),
     (

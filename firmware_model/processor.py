@@ -11,6 +11,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
 from .cycle_table import (
     EVIDENCE,
@@ -36,6 +38,7 @@ __all__ = [
     "ProcessorProfileError",
 ]
 
+NONE_SLOW: Final[Mapping[str, float]] = MappingProxyType({})
 _SIGMAS = 2.0  # of the fit, in the bounds
 
 
@@ -51,7 +54,8 @@ class ProcessorProfile:
     """A processor: ``cycles(work)``, ``bounds(work)``, ``duration_ns(cycles)``.
 
     clock_hz: of the core; default: the table's. cache_kib: size of each of the two caches, one of
-    ``table.caches_kib``, 0 for none; default: the largest. line_fill: one of ``LINE_FILLS``.
+    ``table.caches_kib``, 0 for none; default: the largest. line_fill: one of ``LINE_FILLS``. slow_stages: how
+    many times as long stages of ``work.STAGES`` take, where that is not once.
     Raises ProcessorProfileError naming what is allowed.
     """
 
@@ -61,6 +65,7 @@ class ProcessorProfile:
         clock_hz: int | None = None,
         cache_kib: int | None = None,
         line_fill: str = "nominal",
+        slow_stages: Mapping[str, float] = NONE_SLOW,
     ) -> None:
         who = table.name or "processor"
         sizes = table.caches_kib
@@ -77,6 +82,13 @@ class ProcessorProfile:
             )
         if line_fill not in LINE_FILLS:
             raise ProcessorProfileError(f"{who}: line_fill {line_fill!r}: none of {', '.join(LINE_FILLS)}")
+        for stage, factor in slow_stages.items():
+            if stage not in STAGES or not 0.0 < factor < math.inf:
+                raise ProcessorProfileError(
+                    f"{who}: {stage} taking {factor} times as long: allowed are stages "
+                    f"{', '.join(STAGES)}, and factors over 0"
+                )
+        self.slow_stages = dict(slow_stages)
         self._cost = {name: (COUNTS[name].stage, sum(self._parts(name, line_fill))) for name in COUNTS}
 
     @property
@@ -109,19 +121,31 @@ class ProcessorProfile:
         return c.line_fills[self.cache_kib] * memory.line_fill_ns[line_fill] * 1e-9 * self.clock_hz
 
     def _parts(self, name: str, line_fill: str) -> tuple[float, float]:
-        return self.table.coefficients[name].core_cycles, self._memory_cycles(name, line_fill)
+        longer = self._longer(name)
+        return (
+            self.table.coefficients[name].core_cycles * longer,
+            self._memory_cycles(name, line_fill) * longer,
+        )
+
+    def _longer(self, name: str) -> float:
+        return self.slow_stages.get(COUNTS[name].stage, 1.0)
 
     def with_clock(self, clock_hz: int) -> ProcessorProfile:
         """The same processor at another clock; the memory keeps its own."""
-        return ProcessorProfile(self.table, clock_hz, self.cache_kib, self.line_fill)
+        return ProcessorProfile(self.table, clock_hz, self.cache_kib, self.line_fill, self.slow_stages)
 
     def with_cache(self, cache_kib: int) -> ProcessorProfile:
         """The same processor with other caches."""
-        return ProcessorProfile(self.table, self.clock_hz, cache_kib, self.line_fill)
+        return ProcessorProfile(self.table, self.clock_hz, cache_kib, self.line_fill, self.slow_stages)
 
     def with_line_fill(self, line_fill: str) -> ProcessorProfile:
         """The same processor with a slower or faster memory."""
-        return ProcessorProfile(self.table, self.clock_hz, self.cache_kib, line_fill)
+        return ProcessorProfile(self.table, self.clock_hz, self.cache_kib, line_fill, self.slow_stages)
+
+    def with_slow_stage(self, stage: str, factor: float) -> ProcessorProfile:
+        """The same processor, one stage taking ``factor`` times as long as it does on this one."""
+        slow = self.slow_stages | {stage: self.slow_stages.get(stage, 1.0) * factor}
+        return ProcessorProfile(self.table, self.clock_hz, self.cache_kib, self.line_fill, slow)
 
     def costs(self, counts: Sequence[str]) -> tuple[float, ...]:
         """Cycles of one of each of these counts."""
@@ -156,14 +180,15 @@ class ProcessorProfile:
         fill_cycles = self.table.memory.line_fill_ns["nominal"] * 1e-9 * self.clock_hz
         for name, number in work.counts.items():
             stage, c = COUNTS[name].stage, self.table.coefficients[name]
-            low[stage] += number * (
+            times = number * self._longer(name)
+            low[stage] += times * (
                 c.core_cycles * (1.0 - self.table.core_uncertainty) + self._memory_cycles(name, "low")
             )
-            high[stage] += number * (
+            high[stage] += times * (
                 c.core_cycles * (1.0 + self.table.core_uncertainty) + self._memory_cycles(name, "high")
             )
             fills_sigma = c.line_fills_sigma.get(self.cache_kib, 0.0) * fill_cycles
-            variance[stage] += number * number * (c.core_sigma**2 + fills_sigma**2)
+            variance[stage] += times * times * (c.core_sigma**2 + fills_sigma**2)
         spread = {stage: _SIGMAS * math.sqrt(value) for stage, value in variance.items()}
         return (
             _report({stage: max(0.0, value - spread[stage]) for stage, value in low.items()}),

@@ -385,6 +385,29 @@ def replay(
 
 
 @app.command()
+def faults(
+    kind: Annotated[
+        str | None,
+        typer.Argument(metavar="KIND", help="One of them whole, with its settings and an example (TOML)."),
+    ] = None,
+    seam: Annotated[
+        str | None,
+        typer.Option(
+            "--seam",
+            metavar="SEAM",
+            help="Those of one seam: `line`, `bus`, `telemetry`, `sensor`, `processor`, `memory`, `clock`, "
+            "`power`.",
+        ),
+    ] = None,
+    json_path: Json = None,
+) -> None:
+    """List the faults that a unit can be given, each with what the OBC must see."""
+    from .commands.fault_list import list_faults
+
+    raise typer.Exit(list_faults(kind, seam, json_path, console_for(json_path)))
+
+
+@app.command()
 def prepare() -> None:
     """Compile the kernels and build the star tables of the shipped units, so that no first run waits."""
     from .commands.warm_up import warm_up

@@ -43,7 +43,7 @@ prepare_environment() {
     local back=$OLDPWD extra=${2:-} wanted stamp
     [ -x .venv/bin/python ] && .venv/bin/python -c '' 2>/dev/null || make_environment
     stamp=.venv/.installed${extra:+-$extra}
-    wanted=$(cksum <pyproject.toml)
+    wanted=$(cat pyproject.toml requirements.lock | cksum)
     # What was installed with an extra holds what is needed without one, and the tests' holds the ARM tools'.
     if [ -z "$extra" ] && grep -qxs -- "$wanted" .venv/.installed*; then
         stamp=
@@ -52,7 +52,8 @@ prepare_environment() {
     fi
     if [ -n "$stamp" ] && [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
         say "Installing what the project needs (once; a few hundred megabytes)"
-        .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".${extra:+[$extra]}" >&2 ||
+        .venv/bin/python -m pip install --quiet --disable-pip-version-check \
+            --constraint requirements.lock --editable ".${extra:+[$extra]}" >&2 ||
             fail "The installation failed: pip needs a package index it can reach (see its message above)."
         printf '%s\n' "$wanted" >"$stamp"
     fi

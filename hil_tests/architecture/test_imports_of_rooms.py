@@ -26,13 +26,16 @@ MAY_REACH: dict[str, tuple[str, ...]] = {
     "obc": (
         f"{P}protocol", f"{P}links", f"{P}units", f"{P}naming", f"{P}tai", f"{P}report", *VOCABULARY, *LEAVES,
     ),
+    "faults": (
+        f"{P}device", f"{P}firmware_model", f"{P}protocol", f"{P}wire", f"{P}units", f"{P}world", *LEAVES,
+    ),
     "bench": (
-        f"{P}device", f"{P}dialects", f"{P}firmware_model", f"{P}protocol", f"{P}wire", f"{P}units",
-        f"{P}world", f"{P}naming", f"{P}tai", *LEAVES,
+        f"{P}device", f"{P}dialects", f"{P}faults", f"{P}firmware_model", f"{P}protocol", f"{P}wire",
+        f"{P}units", f"{P}world", f"{P}naming", f"{P}tai", *LEAVES,
     ),
     "drivers": (
-        f"{P}bench", f"{P}links", f"{P}device", f"{P}dialects", f"{P}firmware_model", f"{P}protocol",
-        f"{P}wire", f"{P}units", f"{P}world", f"{P}naming", f"{P}tai", *LEAVES,
+        f"{P}bench", f"{P}links", f"{P}device", f"{P}dialects", f"{P}faults", f"{P}firmware_model",
+        f"{P}protocol", f"{P}wire", f"{P}units", f"{P}world", f"{P}naming", f"{P}tai", *LEAVES,
     ),
 }  # fmt: skip
 #: What a room may import itself, where that is less than what it may reach through others.

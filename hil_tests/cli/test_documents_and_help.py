@@ -78,7 +78,19 @@ def test_units(command):
 
 
 TEACHES = {
-    (): ("run", "demo", "campaign", "solve", "replay", "units", "export", "obc", "prepare", "budget"),
+    (): (
+        "run",
+        "demo",
+        "campaign",
+        "solve",
+        "replay",
+        "faults",
+        "units",
+        "export",
+        "obc",
+        "prepare",
+        "budget",
+    ),
     ("run",): (
         *("--link", "pty:PATH", "serial:DEV@BAUD", "--scenario", "--speed", "max", "--seed", "--frames"),
         *(
@@ -106,6 +118,7 @@ TEACHES = {
     ("solve",): ("PNG, TIFF or FITS", "--unit", "--json", "--picture"),
     ("replay",): ("--journal", "--write", "--json", "byte by byte"),
     ("units",): ("--json",),
+    ("faults",): ("KIND", "--seam", "--json", "what the OBC must see", "TOML"),
     ("prepare",): ("Compile",),
     ("export",): ("icd", "scenario-schema", "unit-schema", "dbc", "dialects"),
     ("export", "dialects"): ("--out", "--check", "docs/dialects"),

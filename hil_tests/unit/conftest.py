@@ -248,7 +248,12 @@ class CanBench(Bench):
         number = len(self.peer.packets)
         self.peer.take(data, t_ns)
         for at_ns, packet in self.peer.packets[number:]:
-            self.packets.append(Packet(at_ns, wire.decode_telemetry(packet)))
+            try:
+                self.packets.append(Packet(at_ns, wire.decode_telemetry(packet)))
+            except ValueError:
+                if self.broken is None:
+                    raise
+                self.broken.append(packet)
         return len(data)
 
     def advance(self, until_ns: int) -> None:

@@ -167,6 +167,21 @@ def test_the_time_of_the_recovery_follows_the_settings(bitrate: int, restart_ms:
     assert back_ns - off_ns == restart_ms * MS + 128 * 11 * 10**9 // bitrate
 
 
+def test_a_recovery_that_is_withheld_begins_anew() -> None:
+    """As long as there are no recessive bits to count."""
+    bench = CanBench(disturbance=first(32))
+    held = [True]
+    bench.bus._recovers = lambda: not held[0]
+    bench.send(FRAME)
+    bench.advance(10 * 10**9)
+    assert bench.bus.state is OFF
+    assert bench.bus.counters.bus_off_count == 1
+    held[0] = False
+    bench.advance(10 * 10**9 + 128 * 11 * US)
+    assert bench.bus.state is ACTIVE
+    assert [after for _, _, after in bench.states] == [PASSIVE, OFF, ACTIVE]
+
+
 def test_a_bus_that_stays_broken_goes_off_again_and_again() -> None:
     bench = CanBench(disturbance=first(10**9))
     bench.send(FRAME)

@@ -72,12 +72,13 @@ def interface_control_document(
     unit_notes: str = "",
     mode_table: Sequence[Sequence[str]] = (),
     modelled: str = "",
+    faults: str = "",
 ) -> str:
     """The whole document. The same arguments give the same text.
 
     ``unit_notes``: Markdown on the units at hand (APID, baud rate, defaults), or nothing. ``mode_table``:
     the rules of the modes, its first row the headings. ``modelled``: Markdown on what the emulated unit
-    models and what it does not.
+    models and what it does not. ``faults``: Markdown on how it can be broken on purpose, or nothing.
     """
     lines = ["# Interface control document", "", *INTRODUCTION]
     sections: list[tuple[str, list[str]]] = [
@@ -94,6 +95,8 @@ def interface_control_document(
         ("Example", _example()),
         ("What is modelled", [modelled.strip() or NOT_SAID, ""]),
     ]
+    if faults.strip():
+        sections.append(("Faults", [faults.strip(), ""]))
     if unit_notes.strip():
         sections.insert(0, ("Units", [unit_notes.strip(), ""]))
     for number, (title, _) in enumerate(sections, start=1):

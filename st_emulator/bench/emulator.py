@@ -23,10 +23,17 @@ from ..device.store import Store, StoreContents, VolatileStore
 from ..dialects.dialect import CanWire, Dialect, SerialWire
 from ..dialects.registry import dialect_of, require_wire, settings_of
 from ..errors import ConfigurationError
+from ..faults.fault import Reach
+from ..faults.faults import Faults
+from ..faults.seams import SeamedSource, SeamedSpeaker, Seams
+from ..faults.store import SeamedStore
+from ..faults.supply import Supply
 from ..firmware_model.image.frame import Frame
+from ..protocol.can.frames import CanFrame
 from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile
 from ..wire.can.bus import Disturbance
+from ..wire.can.controller import BusError
 from ..wire.can.wiring import CanWiring
 from ..world.recorded import RecordedFrames
 from ..world.sampled import BeyondTruthError, SampledTrajectory, TruthSample
@@ -55,6 +62,18 @@ class RecordedSource:
         frame = self._frames[self._exposures // self._hold % len(self._frames)]
         self._exposures += 1
         return frame
+
+
+class LastExposed:
+    """A source that remembers what it gave last, before faults."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self.frame_exposed: Frame | None = None
+
+    def frame(self, frame_index: int, exposure_start_ns: int, exposure_ns: int) -> Frame | None:
+        self.frame_exposed = self._source.frame(frame_index, exposure_start_ns, exposure_ns)
+        return self.frame_exposed
 
 
 @dataclass(frozen=True)
@@ -90,7 +109,9 @@ class Emulator:
         baud: line rate; the unit's own when None.
         pace_reception: False when the link's bytes already took their time on a wire.
         can: the unit is on a CAN bus, wired like this; None: on its serial line.
-        disturbance: the seam where faults of the CAN bus enter.
+        disturbance: what a test does to the CAN bus, before the run's faults.
+
+    ``faults``: those of the scenario, and those that are put in live.
     """
 
     def __init__(
@@ -123,7 +144,8 @@ class Emulator:
         self.clock = VirtualClock()
         self._external_transmit = transmit
         self._hold = hold
-        self._store = store if store is not None else VolatileStore()
+        self._seams = Seams()
+        self._store = SeamedStore(store if store is not None else VolatileStore(), self._seams)
         self._apply_scenario_parameters()
         self.start_tai_ns = tai_ns_from_utc(self.scenario.start_utc)
         self.scene: SceneRenderer | None = None
@@ -136,15 +158,17 @@ class Emulator:
             source = RecordedSource(frames, hold)
         else:
             source = self.scene = scene_of(profile, self.scenario, self.seed, self.start_tai_ns, trajectory)
+        self._exposed = LastExposed(source)
         self.device = StarTracker(
             profile,
             self.clock,
-            source,
+            SeamedSource(self._exposed, self._seams),
             star_tables(profile),
             self._store,
             submit=submit if trajectory is None else Lazy,  # nothing asks before the exposure is over
             on_frame=self._frame_exposed,
             on_completed=on_completed,
+            seams=self._seams,
         )
         self._truth = truth
         self._journal: JournalWriter | None = None
@@ -157,8 +181,11 @@ class Emulator:
         self._telecommands = deque(telecommands_of(profile, self.scenario))
         self._sender = dialect_of(profile).sender(profile, settings_of(profile), can)
         self.dialect = self._dialect()
-        self.device.speak_through(self.dialect)
-        self.device.power_on()
+        self.device.speak_through(SeamedSpeaker(self.dialect, self._seams))
+        self.faults = Faults(self._seams, self.seed, self._fault_told, self._fault_done)
+        self._supply = Supply(self.device)
+        self.faults.attach(self._reach(), self.scenario.faults, self.scenario.where)
+        self._supply.begin()
 
     # -- driving it
     # ------------------------------------------------------------------------------------------------
@@ -197,24 +224,34 @@ class Emulator:
         if data:
             if self._journal is not None:
                 self._journal.write(self.clock.now_ns, "rx", data)
-            self.dialect.arrive(data)
+            self._arrive(data)
 
     def transmit_to(self, transmit: Callable[[bytes, int], int | None]) -> None:
         """What leaves the unit goes there from now on, as with the argument ``transmit``."""
         self._external_transmit = transmit
 
     def do(self, what: str, content: Any) -> None:
-        """Do again what a journal says was done to the run: "truth" gives a sample of it.
+        """Do again what a journal says was done to the run: "inject" a fault, "clear" one, "truth" gives a
+        sample of it.
 
         Raises:
             ConfigurationError: it makes no sense here.
         """
         match what:
+            case "inject":
+                self.faults.inject(content)
+            case "clear":
+                self.faults.clear(int(content))
             case "truth" if isinstance(self.trajectory, SampledTrajectory):
                 try:
                     self.trajectory.add(TruthSample.of(content))
                 except ValueError as error:
                     raise ConfigurationError(f"journal: truth: {error}") from error
+            case "stand":
+                raise ConfigurationError(
+                    f"journal: at {self.clock.now_ns / NS_PER_S:.9f} s a fault of somebody's own was put in "
+                    f"({content.get('kind')}): only the program that has it can replay this run"
+                )
             case _:
                 raise ConfigurationError(f"journal: {what}: nothing that is done to a run like this")
 
@@ -249,16 +286,40 @@ class Emulator:
         require_wire(self.profile, self.can is not None)
         if self.can is not None:
             assert definition.on_can is not None
-            wire = CanWire(self.clock, self.can, self._transmitted, self._disturbance)
+            wire = CanWire(
+                self.clock, self.can, self._transmitted, self._disturb, self._seams, self._seams.recovers
+            )
             on_can: Dialect = definition.on_can(self.device, wire, settings)
             return on_can
         assert definition.on_serial is not None
-        line = SerialWire(self.clock, self.baud, self._transmitted, self._pace_reception)
+        line = SerialWire(self.clock, self.baud, self._transmitted, self._pace_reception, self._seams)
         on_serial: Dialect = definition.on_serial(self.device, line, settings)
         return on_serial
 
+    def _disturb(self, frame: CanFrame, own: bool, now_ns: int) -> BusError | None:
+        error = None if self._disturbance is None else self._disturbance(frame, own, now_ns)
+        return self._seams.disturbance(frame, own, now_ns) if error is None else error
+
+    def _arrive(self, data: bytes) -> None:
+        """The link brought it: through the seam to the unit."""
+        if self.can is not None:
+            self._seams.records(data, False, self.dialect.arrive)
+        elif octets := self._seams.octets(data, False):
+            self.dialect.arrive(octets)
+
     def _transmitted(self, data: bytes) -> bool:
-        """Whether the link took it; what a CAN link does not take now is offered again."""
+        """Through the seam to the link. Whether the link took it; what a CAN link does not take now is
+        offered again.
+        """
+        if self.can is None:
+            if octets := self._seams.octets(data, True):
+                self._put_on_link(octets)
+            return True
+        taken: list[bool] = []
+        self._seams.records(data, True, lambda record: taken.append(self._put_on_link(record)))
+        return all(taken)  # what a fault keeps back has left the unit
+
+    def _put_on_link(self, data: bytes) -> bool:
         taken = self._external_transmit(data, self.clock.now_ns)
         refused = self.can is not None and taken is not None and taken < len(data)
         if self._journal is not None:
@@ -269,7 +330,7 @@ class Emulator:
 
     def _frame_exposed(self, record: FrameRecord) -> None:
         if self._truth is not None or self.trajectory is not None:
-            exposure = Exposure(record, record.pixels)
+            exposure = Exposure(record, self._exposed.frame_exposed)
             self._exposures.append(exposure)
             self.clock.at(exposure.end_ns, self._exposures_over)
 
@@ -313,6 +374,28 @@ class Emulator:
     def _truth_needed_from_ns(self) -> int:
         oldest_ns = self._exposures[0].record.start_ns if self._exposures else self.now_ns
         return min(oldest_ns, self.now_ns - TRUTH_KEPT_NS)
+
+    def _reach(self) -> Reach:
+        return Reach(
+            clock=self.clock,
+            profile=self.profile,
+            device=self.device,
+            to_obc=self._put_on_link,
+            to_unit=self.dialect.arrive,
+            wire="serial" if self.can is None else "can",
+            baud=self.baud,
+            store=self._store,
+            can=self.can,
+            supply=self._supply,
+        )
+
+    def _fault_told(self, number: int, kind: str, what: str) -> None:
+        if self._journal is not None:
+            self._journal.note(self.clock.now_ns, f"fault {number} {kind} {what}")
+
+    def _fault_done(self, what: str, content: Any) -> None:
+        if self._journal is not None:
+            self._journal.write_doing(self.clock.now_ns, what, content)
 
     def _apply_scenario_parameters(self) -> None:
         """Parameters of the scenario are in the non-volatile memory at power-on."""

@@ -4,8 +4,9 @@ First line: what was run (format, unit file, scenario, seed, stored parameters),
 replayed alone. Then one line a group of bytes: ``{"t_ns": 1234, "rx": "c0..."}`` when the OBC's bytes were
 put on the line, ``"tx"`` when the unit's last bit of the group has left. On a CAN bus a group is the record
 of a frame (see ``protocol.can.frames``); ``"refused"`` is one that the link did not take. What somebody did
-to the run from outside stands there as well: ``"truth"`` is a sample of the true attitude. It holds virtual
-times only: the same run gives the same file at any speed.
+to the run from outside stands there as well: ``"inject"`` is a fault that was put in live, ``"stand"`` one of
+somebody's own, ``"clear"`` the number of one that was ended so, ``"truth"`` a sample of the true attitude.
+``"note"`` is for people. It holds virtual times only: the same run gives the same file at any speed.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from ..errors import ConfigurationError
 
 FORMAT = "st-emulator journal 1"
 DIRECTIONS = ("rx", "tx", "refused")
-DOINGS = ("truth",)
+DOINGS = ("inject", "stand", "clear", "truth")
 
 
 class TextSink(Protocol):
@@ -44,7 +45,9 @@ class JournalEntry:
 
 @dataclass(frozen=True)
 class JournalDoing:
-    """Something done to the run from outside: ``what`` is "truth" (a sample of the true attitude)."""
+    """Something done to the run from outside: ``what`` is "inject" or "stand" (a fault's settings), "clear"
+    (its number) or "truth" (a sample of the true attitude).
+    """
 
     t_ns: int
     what: str
@@ -64,6 +67,10 @@ class JournalWriter:
     def write_doing(self, t_ns: int, what: str, content: Any) -> None:
         """Something is done to the run from outside."""
         self._file.write(f'{{"t_ns": {t_ns}, "{what}": {json.dumps(content, sort_keys=True)}}}\n')
+
+    def note(self, t_ns: int, text: str) -> None:
+        """A line for people."""
+        self._file.write(f'{{"t_ns": {t_ns}, "note": {json.dumps(text)}}}\n')
 
     def flush(self) -> None:
         self._file.flush()
@@ -127,6 +134,8 @@ def read_journal(path: str | Path) -> Journal:
                     f"{path}: line {number}: recorded when a scenario's telecommands on a CAN bus came in "
                     "behind the transport; allowed are journals recorded anew"
                 )
+            if "note" in item:
+                continue
             if (done := next((name for name in DOINGS if name in item), None)) is not None:
                 inputs.append(JournalDoing(int(item["t_ns"]), done, item[done]))
                 continue

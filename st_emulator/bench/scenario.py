@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from ..faults.catalogue import AnyFault
 from ..units.profile import NonNegative, Positive
 from ..units.validation import Section, Switch, parse_toml, read_text, validate
 from .trajectory_sections import (
@@ -105,6 +106,7 @@ class Scenario(Section):
     sky: Sky = Sky()
     parameters: dict[str, float | int] = Field(default_factory=dict)
     telecommands: list[ScenarioTelecommand] = Field(default_factory=list)
+    faults: list[AnyFault] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _start_fits(self) -> Scenario:

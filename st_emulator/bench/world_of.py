@@ -10,7 +10,7 @@ from ..compiled_kernels import keep_compiled_kernels
 from ..errors import ConfigurationError
 from ..units.profile import UnitProfile
 from ..world import detumbling, orbit, pointing, slew, trajectory
-from ..world.bodies import Body, Earth, Moon, Sun
+from ..world.bodies import STEEP, Body, Earth, Moon, Sun
 from ..world.camera import CameraModel
 from ..world.false_spots import FalseSpots
 from ..world.scene import SceneRenderer
@@ -34,9 +34,6 @@ from .trajectory_sections import (
     SunTrajectory,
     TargetTrajectory,
 )
-
-# ASSUMED: a baffle ends steeply; at this share of the exclusion angle the image is full of stray light.
-STEEP = 0.8
 
 
 def camera_model(profile: UnitProfile) -> CameraModel:

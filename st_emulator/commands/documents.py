@@ -18,6 +18,7 @@ from ..protocol.exporters.dbc import DbcUnit, can_database
 from ..protocol.exporters.icd import interface_control_document
 from ..protocol.pus.enumerations import FunctionId
 from ..units.profile import load_unit, unit_names
+from .fault_list import fault_chapter
 
 
 def schema_text(model: type[BaseModel]) -> str:
@@ -120,6 +121,7 @@ def interface_control_document_text() -> str:
         unit_notes=unit_notes(),
         mode_table=mode_table(),
         modelled=allowed + telecommand_modes() + "\n" + MODELLED,
+        faults=fault_chapter(),
     )
 
 

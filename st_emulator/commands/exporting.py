@@ -112,6 +112,31 @@ def export_dbc(
         sys.stdout.write(text)
 
 
+@export_app.command("fmu")
+def export_fmu(
+    unit: Annotated[str, typer.Argument(metavar="UNIT", help="A shipped unit or the path of a unit file.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Default: UNIT.fmu in the current folder.")
+    ] = None,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(
+            "--scenario",
+            metavar="FILE",
+            help="Start, sky, parameters and faults; its trajectory is not heeded: the attitude is an input.",
+        ),
+    ] = None,
+) -> None:
+    """A unit as a co-simulation FMU (FMI 2.0): true attitude, rate, Sun and power in, attitude reports out.
+
+    Needs `pip install 'st-emulator[fmu]'`. What runs the FMU needs a Python with a shared library that has
+    this package installed.
+    """
+    from .fmu import write_fmu
+
+    print(write_fmu(unit, out, scenario))
+
+
 @export_app.command("dialects")
 def export_dialects(
     out: Annotated[Path, typer.Option("--out", metavar="DIR")] = Path("docs/dialects"),

@@ -28,21 +28,6 @@ from ..world.sampled import BeyondTruthError, SampledTrajectory
 from .output_file import OutputFile
 
 
-class RecordedStore(VolatileStore):
-    """The non-volatile memory as the journal's unit found it: with its fault until it is written anew."""
-
-    def __init__(self, contents: StoreContents, fault: StoreInvalidCause | None) -> None:
-        super().__init__(contents)
-        self._fault = fault
-
-    def load(self) -> tuple[StoreContents, StoreInvalidCause | None]:
-        return super().load()[0], self._fault
-
-    def save(self, contents: StoreContents) -> None:
-        super().save(contents)
-        self._fault = None
-
-
 def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
     """A fresh emulator as the journal's first line describes it; its scenario's telecommands come from
     the entries.
@@ -52,7 +37,7 @@ def emulator_of(source: Journal, where: str, **arguments: Any) -> Emulator:
         profile = validate(UnitProfile, header["unit"], where)
         scenario = validate(Scenario, header["scenario"], where)
         stored = header["store"]
-        store = RecordedStore(
+        store = VolatileStore(
             StoreContents(dict(stored["parameters"]), int(stored["boot_count"])),
             None if stored["fault"] is None else StoreInvalidCause(stored["fault"]),
         )

@@ -65,7 +65,7 @@ class Parameters:
     def load(self, *, count_start: bool) -> None:
         """Read the non-volatile memory, as a start does."""
         contents, fault = self._store.load()
-        if fault is None and not all(self._fits(name, value) for name, value in contents.parameters.items()):
+        if fault is None and not all(self.fits(name, value) for name, value in contents.parameters.items()):
             contents, fault = StoreContents(boot_count=contents.boot_count), StoreInvalidCause.OUT_OF_RANGE
         self._values = self._defaults | contents.parameters
         self._settings = None
@@ -74,7 +74,7 @@ class Parameters:
         if count_start:
             self._save()
 
-    def _fits(self, name: str, value: float | int) -> bool:
+    def fits(self, name: str, value: float | int) -> bool:
         """Whether a parameter of this unit can be set to the value."""
         definition = PARAMETERS_BY_NAME.get(name)
         if definition is None or definition.read_only or not definition.fits(value):
@@ -105,7 +105,7 @@ class Parameters:
                 raise RefusedError(Refusal.UNKNOWN_ID, name)
             if definition.read_only:
                 raise RefusedError(Refusal.READ_ONLY, name)
-            if not self._fits(name, value):
+            if not self.fits(name, value):
                 raise RefusedError(Refusal.OUT_OF_RANGE, name)
 
     def store(self, values: Mapping[str, float | int]) -> int:

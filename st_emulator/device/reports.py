@@ -44,7 +44,7 @@ class ShutdownStarted:
 
 @dataclass(frozen=True)
 class WentOff:
-    """Shut down or without power: nothing is sent any more, also not what waits."""
+    """Shut down, without power, or hanging: nothing is sent any more, also not what waits."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ its mode goes through :meth:`StarTracker._follow`, by the one table in ``firmwar
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
@@ -50,6 +51,7 @@ from .imaging import FrameRecord, FrameSettings, FrameSource, Imaging, Lazy, Sub
 from .memories import Memories
 from .onboard_time import OnboardTime
 from .parameters import Parameters
+from .seams import PLAIN, DeviceSeams
 from .self_test import STEPS, SelfTestRun
 from .speaker import MUTE, Speaker
 from .store import Store
@@ -71,6 +73,7 @@ class StarTracker:
         submit: how a frame's computation is started (at once beside the loop, or when needed).
         on_frame: called when a frame is exposed, with its record (the truth is written there).
         on_completed: called when a frame's result counts.
+        seams: where faults enter.
     """
 
     def __init__(
@@ -84,15 +87,17 @@ class StarTracker:
         submit: Submit = Lazy,
         on_frame: Callable[[FrameRecord], None] = lambda record: None,
         on_completed: Callable[[FrameRecord], None] = lambda record: None,
+        seams: DeviceSeams = PLAIN,
     ) -> None:
         self.profile = profile
+        self._seams = seams
         self.clock = clock
         self.mode = Mode.OFF
         self.powered = False
         self.time = OnboardTime()
         self.frame_counters = FrameCounters()
         self.parameters = Parameters(profile, store)
-        self.memories = Memories(profile.name, tables)
+        self.memories = Memories(profile.name, tables, seams.written)
         self.imaging = Imaging(
             clock,
             source,
@@ -106,7 +111,7 @@ class StarTracker:
         self.last_frame: FrameRecord | None = None
         self.last_frame_index = 0
         self.last_reasons = Reason.NOT_ACQUIRING
-        self.last_quaternion = IDENTITY
+        self.last_quaternion = self._last_valid = IDENTITY
         self.reset_cause = ResetCause.POWER_ON
         self._health = Health(self.memories, profile.frame_period_ns)
         self._speaker = MUTE
@@ -118,6 +123,7 @@ class StarTracker:
         self._setting_time: Running | None = None
         self._acquiring: Running | None = None
         self._going_down = False
+        self._hangs = False
         self._fault_in_boot: FaultCause | None = None
 
     def speak_through(self, speaker: Speaker) -> None:
@@ -149,6 +155,19 @@ class StarTracker:
         if self.mode != Mode.OFF:
             self._boot(ModeEvent.COMMAND_RESET, cause)
 
+    def hang(self, watchdog_ns: int) -> None:
+        """The processor hangs: nothing is sent, taken or processed until the watchdog resets it, so much
+        later. The sensor's frame grid goes on. Nothing where it is off, or hangs already.
+        """
+        if self.mode == Mode.OFF or self._hangs:
+            return
+        self._life += 1
+        self._hangs = True
+        self.imaging.stop()
+        self.imaging.cancel_capture()
+        self._tell(reports.WentOff())
+        self.later(watchdog_ns, partial(self.restart, ResetCause.WATCHDOG))
+
     def later(self, delay_ns: int, action: Callable[[], None]) -> ScheduledEvent:
         """Schedule an action that a reset makes void."""
         life = self._life
@@ -156,7 +175,7 @@ class StarTracker:
 
     def _boot(self, event: ModeEvent, cause: ResetCause, begin: Callable[[], None] = lambda: None) -> None:
         self._life += 1
-        self._going_down = False
+        self._going_down = self._hangs = False
         self._fault_in_boot = None
         self._follow(event)
         begin()
@@ -171,14 +190,17 @@ class StarTracker:
         self.imaging.cancel_capture()
         self.last_frame = None
         self.last_reasons = Reason.NOT_ACQUIRING
-        self.last_quaternion = IDENTITY
+        self.last_quaternion = self._last_valid = IDENTITY
         self._blinded = False
         self._setting_time = self._acquiring = None
         self.self_test.reset()
         self._health.reset()
         self.time.discard_pending()
         self._started_ns = self.clock.now_ns
+        life = self._life
         self.parameters.load(count_start=True)
+        if self._life != life:
+            return  # power went while the start was being counted
         self.later(self.profile.timing.boot_ms * NS_PER_MS, self._boot_done)
 
     def _boot_done(self) -> None:
@@ -195,6 +217,7 @@ class StarTracker:
     def _off(self, event: ModeEvent) -> None:
         """Nothing is sent or processed until power is cycled."""
         self._life += 1
+        self._hangs = False
         self._follow(event)
         self._tell(reports.WentOff())
 
@@ -236,19 +259,19 @@ class StarTracker:
 
     @property
     def listening(self) -> bool:
-        """Whether commands are taken: not in BOOT and OFF, nor on the way there."""
-        return self.mode not in SILENT and not self._going_down
+        """Whether commands are taken: not in BOOT and OFF, nor on the way there, nor while it hangs."""
+        return not self.silent and not self._going_down
 
     @property
     def silent(self) -> bool:
-        """Whether nothing is sent: in BOOT and OFF."""
-        return self.mode in SILENT
+        """Whether nothing is sent: in BOOT and OFF, and while it hangs."""
+        return self._hangs or self.mode in SILENT
 
     def enter_fault(self, cause: FaultCause) -> None:
-        """Stop in FAULT; nothing happens where the table does not lead there (FAULT, OFF). From BOOT when the
-        boot is over: nothing is sent or taken before.
+        """Stop in FAULT; nothing happens where the table does not lead there (FAULT, OFF), or while it hangs.
+        From BOOT when the boot is over: nothing is sent or taken before.
         """
-        if transition(self.mode, ModeEvent.FAULT_DETECTED) is None:
+        if self._hangs or transition(self.mode, ModeEvent.FAULT_DETECTED) is None:
             return
         if self.mode == Mode.BOOT:
             self._fault_in_boot = self._fault_in_boot or cause
@@ -391,9 +414,11 @@ class StarTracker:
 
     def frame_started(self, frame_index: int) -> None:
         self.last_frame_index = frame_index
-        if self.mode in SILENT:
+        if self.silent:
             return
-        change = self.time.apply(self.clock.now_ns)
+        change = None
+        if self.time.waiting and self._seams.synchronises():
+            change = self.time.apply(self.clock.now_ns)
         if change is not None:
             self._tell(reports.TimeSet(*change))
             running, self._setting_time = self._setting_time, None
@@ -403,7 +428,9 @@ class StarTracker:
         self._found(self._health.frame_started(frame_index))
 
     def frame_settings(self) -> FrameSettings:
-        return self.parameters.frame_settings()
+        settings = self.parameters.frame_settings()
+        processor = self._seams.processor(settings.processor)
+        return settings if processor is settings.processor else replace(settings, processor=processor)
 
     @property
     def tables(self) -> StarTables:
@@ -423,7 +450,7 @@ class StarTracker:
     def image_captured(self, record: FrameRecord) -> None:
         if self.self_test.running:
             self.self_test.frame_captured()
-        elif self.mode not in SILENT:
+        elif not self.silent:
             self.image_memory.keep(record, self.time.tai_ns(record.mid_exposure_ns))
 
     def _image_kept(self, image: CapturedImage) -> None:
@@ -439,12 +466,10 @@ class StarTracker:
         counters.frames_tracking += result.valid and record.acquisition is Mode.TRACKING
         counters.frames_late += record.late_ns > 0
         counters.worst_cycles = max(counters.worst_cycles, record.cycles.total)
-        self.last_frame = record
-        self.last_reasons = result.reasons
         if result.valid:
             x, y, z, w = (float(value) for value in result.q_icrs_to_sensor)
-            self.last_quaternion = (x, y, z, w)
-        self._tell(reports.AttitudeReady(record, result.reasons, self.last_quaternion))
+            self._last_valid = (x, y, z, w)
+        self._tell_attitude(record, result.reasons)
         if record.late_ns:
             self._tell(reports.FrameOverran(record, self.imaging.budget_cycles(record.settings)))
         self._follow_frame(record)
@@ -474,7 +499,16 @@ class StarTracker:
         reasons = Reason.FRAME_DROPPED | (Reason.NO_FRAME if no_frame else Reason.OVERRUN)
         self.last_reasons = reasons
         self._tell(reports.FrameDropped(record))
-        self._tell(reports.AttitudeReady(record, reasons, self.last_quaternion))
+        self._tell_attitude(record, reasons)
+
+    def _tell_attitude(self, record: FrameRecord, reasons: Reason) -> None:
+        """Tell what a frame gave, and remember what was told."""
+        report = self._seams.attitude(reports.AttitudeReady(record, reasons, self._last_valid))
+        if report.record.result is not None:
+            self.last_frame = report.record
+        self.last_reasons = report.reasons
+        self.last_quaternion = report.q_icrs_to_sensor
+        self._tell(report)
 
     # -- what a dialect may ask at any time
 

@@ -12,7 +12,7 @@ import os
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from ..errors import ConfigurationError
 from ..firmware_model.causes import StoreInvalidCause
@@ -33,14 +33,19 @@ class VolatileStore:
     restart of the program.
     """
 
-    def __init__(self, contents: StoreContents | None = None) -> None:
+    def __init__(self, contents: StoreContents | None = None, fault: StoreInvalidCause | None = None) -> None:
         self._contents = contents or StoreContents()
+        self._fault = fault
 
     def load(self) -> tuple[StoreContents, StoreInvalidCause | None]:
-        return StoreContents(dict(self._contents.parameters), self._contents.boot_count), None
+        return StoreContents(dict(self._contents.parameters), self._contents.boot_count), self._fault
 
     def save(self, contents: StoreContents) -> None:
         self._contents = StoreContents(dict(contents.parameters), contents.boot_count)
+        self._fault = None
+
+    def spoil(self, cause: StoreInvalidCause) -> None:
+        self._contents, self._fault = StoreContents(), cause
 
 
 class FileStore:
@@ -78,9 +83,21 @@ class FileStore:
 
     def save(self, contents: StoreContents) -> None:
         body = {"unit": self._unit_name, "parameters": contents.parameters, "boot_count": contents.boot_count}
-        text = json.dumps(
-            {"format": FORMAT, "crc32": _checksum(body), "contents": body}, sort_keys=True, indent=1
+        self._write(body, _checksum(body))
+
+    def spoil(self, cause: StoreInvalidCause) -> None:
+        body: dict[str, Any] = {"unit": self._unit_name, "parameters": {}, "boot_count": 0}
+        if cause is StoreInvalidCause.TRUNCATED:
+            self._replace("")
+        else:
+            self._write(body, _checksum(body) ^ 1)
+
+    def _write(self, body: dict[str, Any], crc32: int) -> None:
+        self._replace(
+            json.dumps({"format": FORMAT, "crc32": crc32, "contents": body}, sort_keys=True, indent=1)
         )
+
+    def _replace(self, text: str) -> None:
         temporary = self.path.with_suffix(f".{os.getpid()}.tmp")
         try:
             with temporary.open("w", encoding="utf-8") as file:
@@ -98,4 +115,14 @@ def _checksum(body: dict[str, Any]) -> int:
     return zlib.crc32(json.dumps(body, sort_keys=True).encode())
 
 
-Store = VolatileStore | FileStore
+class Store(Protocol):
+    """A non-volatile memory."""
+
+    def load(self) -> tuple[StoreContents, StoreInvalidCause | None]:
+        """(contents, why they are factory values or None)."""
+
+    def save(self, contents: StoreContents) -> None:
+        """Keep them in place of what was there."""
+
+    def spoil(self, cause: StoreInvalidCause) -> None:
+        """What is kept can be read no more, for this cause (TRUNCATED, BAD_CHECKSUM), until the next save."""

@@ -17,8 +17,9 @@ from ..device.speaker import Speaker
 from ..device.star_tracker import StarTracker
 from ..units.profile import UnitProfile
 from ..units.validation import Section
-from ..wire.can.bus import Disturbance
+from ..wire.can.bus import Disturbance, always
 from ..wire.can.wiring import CanWiring
+from ..wire.seam import PLAIN, MessageSeam
 
 SettingsT = TypeVar("SettingsT", bound=Section)
 
@@ -55,13 +56,15 @@ class SerialWire:
     """What a dialect on a serial line is made with.
 
     ``transmit`` takes octets when their last bit has left; ``pace_reception`` is False behind a real port,
-    whose octets have already taken their time. :class:`st_emulator.wire.serial_line.SerialLine` does both.
+    whose octets have already taken their time. ``messages`` is the seam where faults of whole messages enter.
+    :class:`st_emulator.wire.serial_line.SerialLine` takes all of them.
     """
 
     clock: VirtualClock
     baud: int
     transmit: Callable[[bytes], object]
     pace_reception: bool = True
+    messages: MessageSeam = PLAIN
 
 
 @dataclass(frozen=True)
@@ -69,13 +72,16 @@ class CanWire:
     """What a dialect on a CAN bus is made with.
 
     ``transmit`` takes the record of a frame when its last bit has left and says whether the link took it;
-    ``disturbance`` is the seam where faults of the bus enter.
+    ``disturbance`` is the seam where faults of the bus enter, ``messages`` that of whole messages of many
+    frames; ``recovers`` is asked before a controller that is bus-off comes back.
     """
 
     clock: VirtualClock
     wiring: CanWiring
     transmit: Callable[[bytes], bool]
     disturbance: Disturbance | None = None
+    messages: MessageSeam = PLAIN
+    recovers: Callable[[], bool] = always
 
 
 class ScenarioSender(Protocol):

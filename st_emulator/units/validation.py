@@ -48,8 +48,8 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise ConfigurationError(f"{where}: not valid TOML: {reason}") from error
 
 
-def validate(model: type[Model], data: Any, where: str) -> Model:
-    """Build ``model`` from ``data``.
+def validate(model: type[Model], data: Any, where: str, *, inside: str = "") -> Model:
+    """Build ``model`` from ``data``. ``inside``: a key that nobody wrote, left out of what errors say.
 
     Raises:
         ConfigurationError: one line with ``where``, the key and what is allowed. Of several failures an
@@ -62,9 +62,17 @@ def validate(model: type[Model], data: Any, where: str) -> Model:
         first = next((item for item in problems if item["type"] == "extra_forbidden"), problems[0])
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         text = _problem(model.model_json_schema(by_alias=True), data, dict(first))
+        if inside:
+            text = text.removeprefix(f"{inside}.").removeprefix(f"{inside}: ")
         raise ConfigurationError(f"{where}: {text}{more}") from error
     made._origin = where
     return made
+
+
+def allowed_values(model: type[BaseModel]) -> dict[str, str]:
+    """What each key of a table may be, in the words of the errors; ``none`` where it may be left out."""
+    schema = model.model_json_schema(by_alias=True)
+    return {key: _allowed(schema, _resolved(schema, node)) for key, node in schema["properties"].items()}
 
 
 def _problem(schema: Schema, data: Any, error: dict[str, Any]) -> str:

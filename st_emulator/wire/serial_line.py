@@ -10,6 +10,7 @@ from collections.abc import Callable
 from functools import partial
 
 from ..clock import NS_PER_S, VirtualClock
+from .seam import PLAIN, MessageSeam
 
 BITS_PER_BYTE = 10  # 8N1: start, eight data, stop
 FIFO_BYTES = 16  # the FIFO of a 16550 UART
@@ -26,6 +27,8 @@ class SerialLine:
             ``delimiter``, so that a packet is handled when its own last byte is in, whatever follows it.
         delimiter: the byte that ends a frame; None: there is none, and each byte is a group of its own.
         pace_reception: False for a real port, whose bytes have already taken their time.
+        messages: the seam of whole messages: what one :meth:`send` puts on the line, and what one
+            :meth:`arrive` brings. A port that frames messages has the seam in front of its frames instead.
     """
 
     def __init__(
@@ -37,8 +40,10 @@ class SerialLine:
         *,
         delimiter: int | None,
         pace_reception: bool = True,
+        messages: MessageSeam = PLAIN,
     ) -> None:
         self._clock = clock
+        self._messages = messages
         self.baud = baud
         self._transmit = transmit
         self._receive = receive
@@ -64,6 +69,9 @@ class SerialLine:
 
     def send(self, data: bytes) -> None:
         """Queue bytes behind those already waiting."""
+        self._messages.to_obc(data, self._put)
+
+    def _put(self, data: bytes) -> None:
         self._tx += data
         if not self._tx_busy and self._tx:
             self._tx_started_ns, self._tx_sent_since = self._clock.now_ns, 0
@@ -96,6 +104,9 @@ class SerialLine:
 
     def arrive(self, data: bytes) -> None:
         """Bytes were put on the line at the present time."""
+        self._messages.to_unit(data, self._arrived)
+
+    def _arrived(self, data: bytes) -> None:
         if not self._pace_reception:
             self._receive(data)
             return

@@ -8,6 +8,7 @@ from ..clock import VirtualClock
 from ..protocol.framing import END, FrameReceived, SlipDecoder, slip_encode
 from ..protocol.pus.packets import MAX_TELECOMMAND_BYTES
 from .port import PortClient
+from .seam import PLAIN, MessageSeam
 from .serial_line import SerialLine
 
 PART_BYTES = 1024  # ASSUMED: a part is on the line for 90 ms at 115200 baud; reports slip in between
@@ -22,6 +23,7 @@ class SlipPort:
         transmit: called with each group of bytes when its last bit has left.
         client: the unit.
         pace_reception: False behind a real port, whose bytes have already taken their time.
+        messages: the seam of whole messages, outside their frames.
     """
 
     part_bytes = PART_BYTES
@@ -34,8 +36,10 @@ class SlipPort:
         client: PortClient,
         *,
         pace_reception: bool = True,
+        messages: MessageSeam = PLAIN,
     ) -> None:
         self._clock = clock
+        self._messages = messages
         self._client = client
         self.line = SerialLine(
             clock, baud, transmit, self._received, delimiter=END, pace_reception=pace_reception
@@ -50,8 +54,11 @@ class SlipPort:
         frame = slip_encode(packet)
         if self.line.queued_bytes + len(frame) > limit_bytes:
             return 0
-        self.line.send(frame)
+        self._messages.to_obc(packet, self._put)
         return len(frame)
+
+    def _put(self, packet: bytes) -> None:
+        self.line.send(slip_encode(packet))
 
     def drain_ns(self, count: int) -> int:
         return self.line.duration_ns(count)
@@ -73,6 +80,10 @@ class SlipPort:
         client.bytes_received(len(data))
         for event in self._decoder.receive(data, self._clock.now_ns):
             if isinstance(event, FrameReceived):
-                client.packet_received(event.data, event.time_ns)
+                self._messages.to_unit(event.data, self._take)
             else:
                 client.packet_discarded(event.reason.malformed_reason, event.length)
+
+    def _take(self, packet: bytes) -> None:
+        if self._client.listening:
+            self._client.packet_received(packet, self._clock.now_ns)

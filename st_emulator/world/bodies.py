@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 SUN_RADIUS_KM = 695_700.0  # IAU 2015 resolution B3
 MOON_RADIUS_KM = 1_737.4
+# ASSUMED: a baffle ends steeply; at this share of the exclusion angle the image is full of stray light.
+STEEP = 0.8
 # Below this height the Earth is a horizon under the observer and no body in the sky.
 _IN_SPACE_KM = 80.0
 

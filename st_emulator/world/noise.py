@@ -46,7 +46,7 @@ STREAM_FALSE_SPOTS = 6
 
 _STEPS = 4096  # table steps over the upper half of the distribution
 _TAIL_STEP = _STEPS - 8  # from here on the formula: 1 in 512 deviates, beyond 3.1 sigma
-_POISSON_EXACT_BELOW = np.float32(30.0)
+POISSON_EXACT_BELOW = np.float32(30.0)
 _ONE_DRAW_VARIANCE = np.float32(40.0)
 _ONE_DRAW_READ_NOISE = 0.7  # electrons; below it, whole electrons would show between the lines
 
@@ -158,7 +158,7 @@ def normals_of(words: U64, table: F32, deviates: F32) -> None:
 @njit(nogil=True, error_model="numpy")
 def _poisson(mean: np.float32, word: np.uint64, table: F32) -> np.float32:
     """A Poisson number: exact inversion below a mean of 30, else a rounded Cornish-Fisher expansion."""
-    if mean < _POISSON_EXACT_BELOW:
+    if mean < POISSON_EXACT_BELOW:
         u = (np.float64(word >> _S11) + 0.5) * 2.0**-53
         term = math.exp(-np.float64(mean))
         total = term
@@ -172,6 +172,12 @@ def _poisson(mean: np.float32, word: np.uint64, table: F32) -> np.float32:
     m = np.float64(mean)
     x = m + math.sqrt(m) * z + (z * z - 1.0) / 6.0 + z * (1.0 - z * z) / (72.0 * math.sqrt(m))
     return np.float32(math.floor(x + 0.5))
+
+
+@njit(nogil=True, error_model="numpy")
+def charge_of(mean: float, word: np.uint64, table: F32) -> float:
+    """A word's Poisson number of a mean."""
+    return float(_poisson(np.float32(mean), word, table))
 
 
 @njit(nogil=True, error_model="numpy")

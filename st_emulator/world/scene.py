@@ -22,7 +22,7 @@ from . import noise, point_spread, quaternion, time_scales
 from .bodies import Body, ObserverState, Stray
 from .camera import CameraModel
 from .false_spots import FalseSpots
-from .star_index import StarIndex, image_paths, turned
+from .star_index import image_paths, star_index_of, turned
 from .stars import SPEED_OF_LIGHT_KM_S, StarField
 from .trajectory import Trajectory
 from .windows import checked_windows, cut_windows, window_offsets
@@ -188,7 +188,7 @@ class SceneRenderer:
         self.parallax = parallax
         self.bodies = tuple(bodies)
         self.false_spots = false_spots or FalseSpots()
-        self._index = StarIndex(stars)
+        self._index = star_index_of(stars)
         self._electrons_s = camera.electrons_per_s_mag0 * 10.0 ** (
             -0.4 * self._index.hp_mag.astype(np.float64)
         )

@@ -65,6 +65,21 @@ class StarIndex:
         )
 
 
+_KEPT: list[tuple[StarField, StarIndex]] = []
+_MOST_KEPT = 2
+
+
+def star_index_of(stars: StarField) -> StarIndex:
+    """The index of a field; that of the fields asked for last is kept, as it takes a tenth of a second."""
+    for field, index in _KEPT:
+        if field is stars:
+            return index
+    index = StarIndex(stars)
+    _KEPT.insert(0, (stars, index))
+    del _KEPT[_MOST_KEPT:]
+    return index
+
+
 @njit(nogil=True, error_model="numpy")
 def stars_within(
     axis: F64,

@@ -68,6 +68,7 @@ class MyDialect:
             self._received,
             delimiter=None,
             pace_reception=wire.pace_reception,
+            messages=wire.messages,
         )
         self._decoder = Decoder()
         self._end_of_half: ScheduledEvent | None = None

@@ -67,6 +67,7 @@ class CanopenDialect:
             self._received,
             on_state=self._bus_state_changed,
             disturbance=wire.disturbance,
+            recovers=wire.recovers,
         )
         self.bus.listening = False
         self.transmitter = Transmitter(self.bus, self._left)

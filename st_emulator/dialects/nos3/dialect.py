@@ -44,6 +44,7 @@ class Nos3Dialect:
             self._received,
             delimiter=None,
             pace_reception=wire.pace_reception,
+            messages=wire.messages,
         )
         self.reception: Reception = (
             CallbackReception() if settings.reception == "callback" else StreamReception()

@@ -97,7 +97,14 @@ class PusDialect:
         """On a serial line."""
 
         def port(client: PortClient) -> SlipPort:
-            return SlipPort(wire.clock, wire.baud, wire.transmit, client, pace_reception=wire.pace_reception)
+            return SlipPort(
+                wire.clock,
+                wire.baud,
+                wire.transmit,
+                client,
+                pace_reception=wire.pace_reception,
+                messages=wire.messages,
+            )
 
         return PusDialect(device, port)
 
@@ -107,7 +114,9 @@ class PusDialect:
         settings = wire.wiring.port_settings(device.profile.can)
 
         def port(client: PortClient) -> CanPort:
-            return CanPort(wire.clock, settings, wire.transmit, client, wire.disturbance)
+            return CanPort(
+                wire.clock, settings, wire.transmit, client, wire.disturbance, wire.messages, wire.recovers
+            )
 
         return PusDialect(device, port, CyclicFrames)
 

@@ -54,7 +54,14 @@ class SagittaDialect:
     def __init__(self, device: StarTracker, wire: SerialWire, settings: SagittaSettings) -> None:
         self.device = device
         self.settings = settings
-        self.port = SlipPort(wire.clock, wire.baud, wire.transmit, self, pace_reception=wire.pace_reception)
+        self.port = SlipPort(
+            wire.clock,
+            wire.baud,
+            wire.transmit,
+            self,
+            pace_reception=wire.pace_reception,
+            messages=wire.messages,
+        )
         self.program = False
         self._boot_taken = False  # the reply to boot has to leave
         self._starting = False  # the program, not the boot loader

@@ -84,6 +84,11 @@ def _nothing() -> None:
     pass
 
 
+def always() -> bool:
+    """Nothing holds the bus."""
+    return True
+
+
 class CanBus:
     """The bus carries one frame or is idle; frames that come up in the same instant compete for it.
 
@@ -99,6 +104,8 @@ class CanBus:
         on_state: called with the state of the controller before and after a change; not by :meth:`reset`.
         disturbance: asked at the start of each attempt, with the frame, whether it is ours, and the time
             (ns); the error it returns destroys the attempt. Not asked with hardware.
+        recovers: asked when the controller has been bus-off for long enough, and for as long again and again
+            until it says that it comes back.
     """
 
     def __init__(
@@ -110,7 +117,9 @@ class CanBus:
         *,
         on_state: Callable[[CanState, CanState], None],
         disturbance: Disturbance | None = None,
+        recovers: Callable[[], bool] = always,
     ) -> None:
+        self._recovers = recovers
         self._clock = clock
         self.settings = settings
         self._transmit = transmit
@@ -400,6 +409,10 @@ class CanBus:
 
     def _recover(self) -> None:
         self._recovery = None
+        if not self._recovers():  # it counts its eleven recessive bits anew
+            wait_ns = bits_duration_ns(BUS_OFF_RECOVERY_BITS, self.settings.bitrate)
+            self._recovery = self._clock.after(wait_ns, self._recover)
+            return
         self._faults.reset()
         self._follow_faults()
 

@@ -25,7 +25,8 @@ from ...protocol.can.vocabulary import CanState, TransferFailure
 from ...protocol.pus.packets import MAX_TELECOMMAND_BYTES, MAX_TELEMETRY_BYTES
 from ...protocol.pus.services.large_data import MAX_PART_BYTES
 from ..port import CanObserver, PortClient
-from .bus import CanBus, CanBusSettings, Disturbance
+from ..seam import PLAIN, MessageSeam
+from .bus import CanBus, CanBusSettings, Disturbance, always
 
 FROM_OBC = ("sync", "time_at_sync")
 RECEIVER_GONE = (TransferFailure.TIMEOUT_A, TransferFailure.TIMEOUT_BS, TransferFailure.WAIT_LIMIT)
@@ -127,6 +128,8 @@ class CanPort:
             False when the link cannot take it now.
         client: the unit.
         disturbance: the seam where faults of the bus enter.
+        messages: the seam of whole packets, outside the transport.
+        recovers: asked before a controller that is bus-off comes back.
     """
 
     part_bytes = MAX_PART_BYTES
@@ -138,7 +141,10 @@ class CanPort:
         transmit: Callable[[bytes], bool],
         client: PortClient,
         disturbance: Disturbance | None = None,
+        messages: MessageSeam = PLAIN,
+        recovers: Callable[[], bool] = always,
     ) -> None:
+        self._messages = messages
         self._clock = clock
         self.settings = settings
         self._client = client
@@ -152,6 +158,7 @@ class CanPort:
             self._received,
             on_state=self._state_changed,
             disturbance=disturbance,
+            recovers=recovers,
         )
         self.counters = CanPortCounters()
         self._queue: deque[_Packet] = deque()
@@ -194,10 +201,13 @@ class CanPort:
         if self.queued_bytes + len(packet) > limit_bytes:
             self._lost += reports
             return 0
+        self._messages.to_obc(packet, partial(self._put, reports))
+        return len(packet)
+
+    def _put(self, reports: int, packet: bytes) -> None:
         self._queue.append(_Packet(packet, self._clock.now_ns, reports))
         self._waiting_bytes += len(packet)
         self._pump()
-        return len(packet)
 
     def drain_ns(self, count: int) -> int:
         return -(-count // (self.settings.frame_bytes - 1)) * self._frame_ns
@@ -332,14 +342,17 @@ class CanPort:
         self._handle(self.connection.confirmed(item.frame, self._clock.now_ns))
         self._pump()
 
+    def _take(self, packet: bytes) -> None:
+        if self._client.listening:
+            self._client.packet_received(packet, self._last_bit_ns)
+
     def _handle(self, events: list[IsoTpEvent]) -> None:
         """To be followed by :meth:`_pump`."""
         self._handling = True
         for event in events:
             if isinstance(event, PduReceived):
                 self._heard = True
-                if self._client.listening:
-                    self._client.packet_received(event.data, self._last_bit_ns)
+                self._messages.to_unit(event.data, self._take)
             elif isinstance(event, PduSent):
                 self._under_way = None
                 self._under_way_bytes = 0
