@@ -186,7 +186,10 @@ ATTITUDE = {"do": "set_attitude", "t_ns": 0, "q_icrs_to_sensor": [0, 0, 0, 1]}
         (ATTITUDE | {"rate": [0, 0, 0]}, "argument", "rate: is not a known item"),
         (ATTITUDE | {"t_ns": "1"}, "argument", "t_ns: found '1'"),
         ({"do": "inject"}, "argument", "fault: allowed is a table"),
+        ({"do": "inject", "fault": {"kind": "tired"}}, "argument", "tired"),
+        ({"do": "inject", "fault": {}}, "argument", "kind"),
         ({"do": "clear"}, "argument", "number: found None"),
+        ({"do": "clear", "number": 5}, "argument", "fault 5: there is none"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_done_is_told(desk, message, kind, says):
@@ -383,6 +386,19 @@ def test_a_paced_run_serves_faults_truth_and_counters_alone():
     desk.close()
 
 
+def test_faults_are_put_in_and_ended(desk):
+    end = desk.client()
+    end.ask({"do": "step_to", "t_ns": 700 * MS})
+    end.ask({"do": "take"})
+    fault = {"kind": "line.silence"}
+    number = end.ask({"do": "inject", "fault": fault})["number"]
+    assert end.ask({"do": "faults"})["faults"] == [{"number": number, **fault}]
+    assert end.ask({"do": "step_to", "t_ns": 4000 * MS, "take": True})["sent"] == []
+    assert end.ask({"do": "clear", "number": number})["ok"]
+    assert end.ask({"do": "faults"})["faults"] == []
+    assert end.ask({"do": "step_to", "t_ns": 8000 * MS, "take": True})["sent"]
+
+
 def random_line(chance: random.Random) -> bytes:
     """Half-right lines: they reach further than noise."""
     kind = chance.randrange(6)
@@ -390,17 +406,16 @@ def random_line(chance: random.Random) -> bytes:
         return chance.randbytes(chance.randrange(60)).replace(b"\n", b"") + b"\n"
     values: list[Any] = [
         None, True, 0, -1, 1 << 80, 1.5, "", "x" * 50, [], [0, 0, 0, 1], {}, {"mode": "TRACKING"},
-        {"valid": False}, {"counters": {"frames_valid": 1}}, "00ff", "c0", 10_000_000, 250_000_000,
+        {"valid": False}, {"kind": "line.silence", "start_s": 1},
+        {"counters": {"frames_valid": 1}}, "00ff", "c0", 10_000_000, 250_000_000,
     ]  # fmt: skip
     names = ["t_ns", "count", "condition", "limit_ns", "hex", "take", "q_icrs_to_sensor", "rate_rad_s", "x",
-             "number", "token", "sun_direction", "position_km"]  # fmt: skip
+             "number", "token", "sun_direction", "fault"]  # fmt: skip
     message = {
         "id": chance.choice(values),
         "do": chance.choice([*REQUESTS, "hello", "", None, 5]),
         **{name: chance.choice(values) for name in chance.sample(names, chance.randrange(4))},
     }
-    if message["do"] in ("inject", "clear", "faults"):
-        message["do"] = "state"
     line = json.dumps(message).encode()
     if kind == 1:
         line = line[: chance.randrange(len(line))]

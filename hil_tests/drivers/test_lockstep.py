@@ -17,6 +17,7 @@ from st_emulator.clock import NS_PER_S, VirtualClock
 from st_emulator.commands.replaying import emulator_of, feed
 from st_emulator.drivers.lockstep import Lockstep, LockstepError, PausedError
 from st_emulator.errors import ConfigurationError
+from st_emulator.faults.catalogue import FAULTS
 from st_emulator.links import memory_link_pair
 from st_emulator.units.profile import load_unit
 from st_emulator.world import trajectory
@@ -107,6 +108,17 @@ def test_nothing_inside_asks_for_a_future(unit):
     emulator.close()
     assert emulator.device.frame_counters.frames_processed > 5
     assert not eager
+
+
+@pytest.mark.parametrize("kind", sorted(name for name in FAULTS if name.startswith("sensor.")))
+def test_no_fault_of_the_sensor_asks_for_a_future(kind):
+    outside = NoFuture()
+    emulator = Emulator(ROJA1, AUTONOMOUS, trajectory=outside)
+    outside.clock = emulator.clock
+    emulator.advance(1500 * MS)
+    emulator.faults.inject({"kind": kind})
+    emulator.advance(3500 * MS)
+    assert emulator.device.last_frame_index == 14
 
 
 def test_the_scenarios_truth_file_is_as_before_but_written_when_the_exposure_is_over():
@@ -303,3 +315,27 @@ def test_day_long_truth_keeps_no_more_than_seconds_of_it():
 def test_set_attitude_without_outside_truth_is_refused():
     with pytest.raises(LockstepError, match="not given from outside"):
         Lockstep.of(ROJA1, trajectory=None).set_attitude(0, [0, 0, 0, 1])
+
+
+def test_faults_put_in_live_are_in_the_journal_with_the_truth(tmp_path):
+    journal = io.StringIO()
+    unit = Lockstep.of(ROJA1, AUTONOMOUS, journal=journal)
+    give(unit, 0)
+    for number in range(1, 21):
+        give(unit, number * 200 * MS)
+        unit.step_to(number * 200 * MS)
+        if number == 8:
+            fault = unit.inject({"kind": "telemetry.frozen_attitude"})
+            assert [one["number"] for one in unit.active_faults()] == [fault]
+        if number == 15:
+            unit.clear(fault)
+            assert unit.active_faults() == []
+    unit.emulator.close()
+    path = tmp_path / "journal.jsonl"
+    path.write_text(journal.getvalue())
+    read, again = read_journal(path), io.StringIO()
+    assert {"truth", "inject", "clear"} <= {one.what for one in read.inputs if not hasattr(one, "data")}
+    emulator = emulator_of(read, str(path), journal=again)
+    feed(emulator, read)
+    emulator.close()
+    assert again.getvalue().splitlines()[1:] == journal.getvalue().splitlines()[1:]

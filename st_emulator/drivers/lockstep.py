@@ -9,7 +9,7 @@ import contextlib
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,6 @@ from ..links import Link
 from ..units.profile import UnitProfile
 from ..world import quaternion
 from ..world.sampled import BeyondTruthError, SampledTrajectory
-from ..world.scene import RenderedFrame
 
 ARCSEC_PER_RAD = 180.0 / np.pi * 3600.0
 SENT_KEPT_BYTES = 1 << 22
@@ -271,21 +270,22 @@ class Lockstep:
 
     # -- faults
 
-    def inject(self, fault: Mapping[str, Any]) -> Any:
-        """Put a fault in, as a table of a scenario's ``[[faults]]``; its number."""
-        return self._faults.inject(fault)
+    def inject(self, fault: Mapping[str, Any]) -> int:
+        """Put a fault in, as a table of a scenario's ``[[faults]]``; its number. ConfigurationError: it
+        does not fit.
+        """
+        return self.emulator.faults.inject(fault)
 
     def clear(self, number: int) -> None:
-        """End a fault."""
-        self._faults.clear(number)
+        """End a fault. Raises ConfigurationError for a number that there is not."""
+        self.emulator.faults.clear(number)
 
-    def active_faults(self) -> Any:
-        """The faults in force."""
-        return self._faults.active()
-
-    @property
-    def _faults(self) -> Any:
-        return cast(Any, self.emulator).faults
+    def active_faults(self) -> list[dict[str, Any]]:
+        """The faults in force: ``number`` and the settings, as in a scenario."""
+        return [
+            {"number": one.number, **one.settings.model_dump(mode="json", exclude_defaults=True)}
+            for one in self.emulator.faults.active()
+        ]
 
     # -- what is true
 
@@ -317,7 +317,7 @@ class Lockstep:
         if result.valid:
             measured = _floats(result.q_icrs_to_sensor)
         scene = self.emulator.scene
-        if scene is not None and isinstance(record.pixels, RenderedFrame):
+        if scene is not None:
             with contextlib.suppress(BeyondTruthError):
                 true = _floats(scene.trajectory.q_icrs_to_sensor(record.mid_exposure_ns))
         if measured is not None and true is not None:
