@@ -25,9 +25,9 @@ HEAD = """\
 
 Written by the tests (`python -m hil_tests.faults.table --write`): every fault was put into a unit that was
 tracking, on the wire that the row names, and what came was read by a decoder of its own. Each row was judged:
-the unit tracks again within 3 s of the fault's end, a boot adds its time, and nothing is left behind but what the
-fault destroyed. `st-emulator faults KIND` has the settings, the interface document's chapter "Faults" the general words, and
-[faults_guide.md](faults_guide.md) says how to put one in.
+the unit tracks again within 3 s of the fault's end, a boot adds its time, and nothing is left behind but what
+the fault destroyed. `st-emulator faults KIND` has the settings, the interface document's chapter "Faults" the
+general words, and [faults_guide.md](faults_guide.md) says how to put one in.
 
 Unless the row says otherwise the unit is roja1 at 4 Hz, with AUTONOMOUS_START; "tracks again" counts from the
 fault's end, for an instant from then.
