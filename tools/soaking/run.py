@@ -58,13 +58,21 @@ class Grid:
     started: int = 0
     expected: int = 0
     on_ns: int | None = None
+    last_ns: int = -1
 
     def on(self, now_ns: int) -> None:
         self.on_ns = now_ns
 
+    def begins(self, now_ns: int) -> None:
+        """A frame period."""
+        self.started += 1
+        self.last_ns = now_ns
+
     def off(self, now_ns: int) -> None:
+        """A period that begins at this very instant counts when it has begun."""
         if self.on_ns is not None:
-            self.expected += -(-(now_ns - self.on_ns) // self.period_ns)
+            whole, rest = divmod(now_ns - self.on_ns, self.period_ns)
+            self.expected += whole + int(rest > 0 or self.last_ns == now_ns)
         self.on_ns = None
 
 
@@ -135,7 +143,7 @@ class Soak:
             power_off()
 
         def started(frame_index: int) -> None:
-            grid.started += 1
+            grid.begins(clock.now_ns)
             frame_started(frame_index)
 
         for name, watched in (("power_on", on), ("power_off", off), ("frame_started", started)):
