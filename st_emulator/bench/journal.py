@@ -12,8 +12,11 @@ at any speed.
 
 from __future__ import annotations
 
+import gzip
 import json
-from collections.abc import Iterator
+import lzma
+import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -82,9 +85,103 @@ class JournalWriter:
         self._file.flush()
 
 
+Line = JournalEntry | JournalDoing
+OPENERS: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".xz": lzma.open}
+
+
+class JournalReader:
+    """A journal, a line at a time: :attr:`header` first, then what iteration gives, in its order. A last line
+    cut short by a kill is left out. A name that ends in .gz or .xz is a compressed journal.
+
+    ``end_ns`` and ``ended`` (it has its end mark) are true when the iteration is through.
+
+    Raises:
+        ConfigurationError: the file is no journal; the message names the file and line.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.end_ns = 0
+        self.ended = False
+        objects = self._objects()
+        first = next(objects, None)
+        if first is None or first.get("format") != FORMAT:
+            raise ConfigurationError(
+                f'{self.path}: not a journal: the first line must say "format": "{FORMAT}"'
+            )
+        self.header: dict[str, Any] = first
+        self._rest = objects
+
+    def __iter__(self) -> Iterator[Line]:
+        for number, item in enumerate(self._rest, start=2):
+            try:
+                line = self._line(number, item)
+            except (KeyError, ValueError, TypeError) as error:
+                raise ConfigurationError(
+                    f"{self.path}: line {number}: expected t_ns and rx or tx in hexadecimal"
+                ) from error
+            if line is not None:
+                yield line
+
+    def _line(self, number: int, item: dict[str, Any]) -> Line | None:
+        t_ns = int(item["t_ns"])
+        self.end_ns = max(self.end_ns, t_ns)
+        if "end" in item:
+            self.ended = True
+            return None
+        if "packet" in item:
+            raise ConfigurationError(
+                f"{self.path}: line {number}: recorded when a scenario's telecommands on a CAN bus came in "
+                "behind the transport; allowed are journals recorded anew"
+            )
+        if "note" in item:
+            return None
+        if (done := next((name for name in DOINGS if name in item), None)) is not None:
+            return JournalDoing(t_ns, done, item[done])
+        direction = next((name for name in DIRECTIONS if name in item), "rx")
+        return JournalEntry(t_ns, direction, bytes.fromhex(item[direction]))
+
+    def _objects(self) -> Iterator[dict[str, Any]]:
+        """The objects of the lines; one line is read ahead, to know the last."""
+        ahead: tuple[int, str] | None = None
+        for number, line in enumerate(self._lines(), start=1):
+            if ahead is not None:
+                item = self._object(*ahead, last=False)
+                assert item is not None
+                yield item
+            ahead = number, line
+        if ahead is not None and (item := self._object(*ahead, last=True)) is not None:
+            yield item
+
+    def _lines(self) -> Iterator[str]:
+        opened = OPENERS.get(self.path.suffix, open)
+        try:
+            with opened(self.path, "rt", encoding="utf-8", newline="\n") as file:
+                for line in file:
+                    yield line.removesuffix("\n")
+        except (OSError, UnicodeDecodeError, EOFError, lzma.LZMAError, zlib.error) as error:
+            if isinstance(error, EOFError):
+                return  # a compressed one whose writer was killed
+            reason = getattr(error, "strerror", None) or "not a text file"
+            raise ConfigurationError(
+                f"{self.path}: cannot be read: {reason}; a journal is a file of JSON lines"
+            ) from error
+
+    def _object(self, number: int, line: str, *, last: bool) -> dict[str, Any] | None:
+        try:
+            item = json.loads(line)
+        except (json.JSONDecodeError, RecursionError) as error:
+            if last and number > 1:
+                return None  # the writer was killed in the middle of its last line
+            raise ConfigurationError(f"{self.path}: line {number}: not a JSON object") from error
+        if not isinstance(item, dict):
+            raise ConfigurationError(f"{self.path}: line {number}: not a JSON object")
+        return item
+
+
 @dataclass(frozen=True)
 class Journal:
-    """A journal read back.
+    """A journal read back whole.
 
     ``ended``: it has its end mark; without one the run was killed, and its last bytes may be missing.
     ``inputs``: received bytes, and what was done to the run, in their order.
@@ -94,72 +191,30 @@ class Journal:
     entries: list[JournalEntry]
     end_ns: int
     ended: bool = True
-    inputs: list[JournalEntry | JournalDoing] = field(default_factory=list)
+    inputs: list[Line] = field(default_factory=list)
 
     def bytes_of(self, direction: str) -> bytes:
         """All bytes of a direction, joined."""
         return b"".join(entry.data for entry in self.entries if entry.direction == direction)
 
 
+def is_input(line: Line) -> bool:
+    """Whether it came from outside."""
+    return isinstance(line, JournalDoing) or line.direction == "rx"
+
+
 def read_journal(path: str | Path) -> Journal:
-    """Read a journal; a last line cut short by a kill is left out.
+    """Read a journal whole; a last line cut short by a kill is left out.
 
     Raises:
         ConfigurationError: the file is no journal; the message names the file and line.
     """
-    path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise ConfigurationError(
-            f"{path}: cannot be read: {reason}; a journal is a file of JSON lines"
-        ) from error
-    if lines and not lines[-1]:
-        lines.pop()
-    objects = list(_objects(path, lines))
-    if not objects or objects[0].get("format") != FORMAT:
-        raise ConfigurationError(f'{path}: not a journal: the first line must say "format": "{FORMAT}"')
-    entries = []
-    inputs: list[JournalEntry | JournalDoing] = []
-    end_ns = 0
-    ended = False
-    for number, item in enumerate(objects[1:], start=2):
-        try:
-            end_ns = max(end_ns, int(item["t_ns"]))
-            if "end" in item:
-                ended = True
-                continue
-            if "packet" in item:
-                raise ConfigurationError(
-                    f"{path}: line {number}: recorded when a scenario's telecommands on a CAN bus came in "
-                    "behind the transport; allowed are journals recorded anew"
-                )
-            if "note" in item:
-                continue
-            if (done := next((name for name in DOINGS if name in item), None)) is not None:
-                inputs.append(JournalDoing(int(item["t_ns"]), done, item[done]))
-                continue
-            direction = next((name for name in DIRECTIONS if name in item), "rx")
-            entry = JournalEntry(int(item["t_ns"]), direction, bytes.fromhex(item[direction]))
-            entries.append(entry)
-            if direction == "rx":
-                inputs.append(entry)
-        except (KeyError, ValueError, TypeError) as error:
-            raise ConfigurationError(
-                f"{path}: line {number}: expected t_ns and rx or tx in hexadecimal"
-            ) from error
-    return Journal(objects[0], entries, end_ns, ended, inputs)
-
-
-def _objects(path: Path, lines: list[str]) -> Iterator[dict[str, Any]]:
-    for number, line in enumerate(lines, start=1):
-        try:
-            item = json.loads(line)
-        except (json.JSONDecodeError, RecursionError) as error:
-            if number == len(lines) and number > 1:
-                return  # the writer was killed in the middle of its last line
-            raise ConfigurationError(f"{path}: line {number}: not a JSON object") from error
-        if not isinstance(item, dict):
-            raise ConfigurationError(f"{path}: line {number}: not a JSON object")
-        yield item
+    reader = JournalReader(path)
+    lines = list(reader)
+    return Journal(
+        reader.header,
+        [line for line in lines if isinstance(line, JournalEntry)],
+        reader.end_ns,
+        reader.ended,
+        [line for line in lines if is_input(line)],
+    )

@@ -5,14 +5,15 @@ sent.
 from __future__ import annotations
 
 import contextlib
-import io
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from ..bench.emulator import Emulator
-from ..bench.journal import Journal, JournalEntry, read_journal
+from ..bench.journal import Journal, JournalEntry, JournalReader, Line, TextSink, is_input
 from ..bench.scenario import Scenario
 from ..clock import NS_PER_S
 from ..device.imaging import FrameRecord
@@ -113,37 +114,137 @@ def first_difference(recorded: list[JournalEntry], replayed: list[JournalEntry])
     return None
 
 
+class Comparison:
+    """What was sent against what is sent now, group by group, as both come."""
+
+    def __init__(self) -> None:
+        self.recorded: deque[JournalEntry] = deque()
+        self.replayed: deque[JournalEntry] = deque()
+        self.difference: str | None = None
+        self.tx_bytes = self.tx_bytes_replayed = 0
+        self._groups = 0
+
+    def sent(self, entry: JournalEntry) -> None:
+        """The journal has it."""
+        self.tx_bytes += len(entry.data)
+        self.recorded.append(entry)
+
+    def sends(self, entry: JournalEntry) -> None:
+        """The replay has it."""
+        self.tx_bytes_replayed += len(entry.data)
+        self.replayed.append(entry)
+
+    def compare(self) -> None:
+        """As far as both have come."""
+        while self.recorded and self.replayed:
+            one, other = self.recorded.popleft(), self.replayed.popleft()
+            if one != other and self.difference is None:
+                times = f"{one.t_ns / NS_PER_S:.9f} s against {other.t_ns / NS_PER_S:.9f} s"
+                self.difference = f"group {self._groups} at {times}"
+            self._groups += 1
+
+    def end(self, ended: bool, end_ns: int) -> None:
+        """Both are through. A run that was killed (not ``ended``) could not write all that it sent in its
+        last instant: that is not compared.
+        """
+        self.compare()
+        if not ended:
+            while self.replayed and self.replayed[-1].t_ns >= end_ns:
+                self.tx_bytes_replayed -= len(self.replayed.pop().data)
+        if self.difference is None and (self.recorded or self.replayed):
+            counts = (self._groups + len(part) for part in (self.recorded, self.replayed))
+            self.difference = "{} groups against {}".format(*counts)
+
+
+class Replay:
+    """A journal that is run again while it is read: nothing of it is held for longer than it is needed.
+
+    Args:
+        path: the journal.
+        journal: where the replay writes its own, or None.
+        progress: called with the virtual time reached, ns.
+    """
+
+    MOST_WAITING = 10_000
+    """Entries read ahead of the time reached, to know which frames the link will not take."""
+
+    def __init__(
+        self,
+        path: Path,
+        journal: TextSink | None = None,
+        progress: Callable[[int], None] = lambda t_ns: None,
+    ) -> None:
+        self.reader = JournalReader(path)
+        self.comparison = Comparison()
+        self.rx_bytes = 0
+        self._refusals: set[tuple[int, bytes]] = set()
+        self._progress = progress
+        header = Journal(self.reader.header, [], 0)
+        self.emulator = emulator_of(header, str(path), transmit=self._transmit, journal=journal)
+
+    def _transmit(self, data: bytes, t_ns: int) -> int:
+        if (t_ns, data) in self._refusals:
+            return 0
+        self.comparison.sends(JournalEntry(t_ns, "tx", data))
+        return len(data)
+
+    def run(self) -> None:
+        """To the journal's end."""
+        emulator, comparison = self.emulator, self.comparison
+        given: Line | None = None  # an input whose followers are being read
+        waiting = 0
+        for line in self.reader:
+            if is_input(line):
+                self._give(given)
+                given, waiting = line, 0
+                continue
+            assert isinstance(line, JournalEntry)
+            if line.direction == "refused":
+                self._refusals.add((line.t_ns, line.data))
+            else:
+                comparison.sent(line)
+            waiting += 1
+            if waiting >= self.MOST_WAITING and line.t_ns - 1 > emulator.now_ns:
+                self._give(given)
+                given, waiting = None, 0
+                self._advance(line.t_ns - 1)
+        self._give(given)
+        self._advance(self.reader.end_ns)
+        emulator.close()
+        comparison.end(self.reader.ended, self.reader.end_ns)
+
+    def _give(self, line: Line | None) -> None:
+        if line is None:
+            return
+        self._advance(line.t_ns)
+        if isinstance(line, JournalEntry):
+            self.rx_bytes += len(line.data)
+            self.emulator.receive(line.data)
+        else:
+            self.emulator.do(line.what, line.content)
+
+    def _advance(self, until_ns: int) -> None:
+        self.emulator.advance(until_ns)
+        self.comparison.compare()
+        self._refusals = {one for one in self._refusals if one[0] >= until_ns}
+        self._progress(until_ns)
+
+
 def replay_journal(path: Path, json_path: str | None, write: Path | None, console: Console) -> int:
     """Replay and compare; exit status 0 when every byte and time is the same."""
     require_json_path(json_path)
-    journal = read_journal(path)
-    replayed: list[JournalEntry] = []
     with contextlib.ExitStack() as stack:
-        text = io.StringIO() if write is None else stack.enter_context(OutputFile(write, "--write"))
-        refusals = refusals_of(journal)
-
-        def transmit(data: bytes, t_ns: int) -> int:
-            if (t_ns, data) in refusals:
-                return 0
-            replayed.append(JournalEntry(t_ns, "tx", data))
-            return len(data)
-
-        emulator = emulator_of(journal, str(path), transmit=transmit, journal=text)
-        feed(emulator, journal)
-        emulator.close()
-    recorded = [entry for entry in journal.entries if entry.direction == "tx"]
-    if not journal.ended:
-        # A run that was killed could not write all that it sent in its last instant: that is not compared.
-        replayed = replayed[: len(recorded)] + [
-            entry for entry in replayed[len(recorded) :] if entry.t_ns < journal.end_ns
-        ]
-    difference = first_difference(recorded, replayed)
+        text = None if write is None else stack.enter_context(OutputFile(write, "--write"))
+        replay = Replay(path, text)
+        replay.run()
+    reader, comparison = replay.reader, replay.comparison
+    difference = comparison.difference
     figures = {
-        "seconds": journal.end_ns / NS_PER_S,
-        "rx_bytes": len(journal.bytes_of("rx")),
-        "tx_bytes": len(journal.bytes_of("tx")),
-        "tx_bytes_replayed": sum(len(entry.data) for entry in replayed),
-        "ended": journal.ended,
+        "seconds": reader.end_ns / NS_PER_S,
+        "rx_bytes": replay.rx_bytes,
+        "tx_bytes": comparison.tx_bytes,
+        "tx_bytes_replayed": comparison.tx_bytes_replayed,
+        "ended": reader.ended,
         "first_difference": difference or "none",
     }
     checks = [check("differences", int(difference is not None), "==", 0, "")]

@@ -7,9 +7,10 @@ same run has the same faults; where frames of the sensor are concerned, from its
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from random import Random
 from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
@@ -108,7 +109,15 @@ class Fault(Generic[SettingsT]):
         self.settings = settings
         self.reach = reach
         self.seed = seed
-        self.random = random.Random(seed)
+
+    @cached_property
+    def random(self) -> Random:
+        """Its chance, in the order of what it was asked."""
+        return Random(self.seed)
+
+    def forget(self) -> None:
+        """It is over and will be asked no more: a run of days has many such."""
+        self.__dict__.pop("random", None)
 
     def strikes(self) -> bool:
         """Whether it strikes what passes now."""

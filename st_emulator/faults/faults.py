@@ -197,6 +197,7 @@ class Faults:
         if told:
             self._told(one.number, one.settings.kind, "ends")
         one.fault.end()
+        one.fault.forget()
 
 
 _WIRES = {"serial": "a serial line", "can": "a CAN bus"}
