@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import ConfigurationError
-from ..links import Link, open_link
+from ..links import Link, LinkError, open_link
 from ..obc import Obc
 from . import unit_server
 from .errors import UnitDiedError
@@ -296,6 +296,11 @@ class SpawnedStarTracker(StarTracker):
             self._claimed.close()
         if self._path is not None:
             _taken.discard(self._path)
+            if self._path.is_symlink():  # it was killed: its link goes as the next one's would
+                from ..links.pty import PtyLink
+
+                with contextlib.suppress(LinkError):
+                    PtyLink(self._path).close()
 
     def _make_obc(self) -> Obc:
         return Obc.connect(self.link, unit=self._unit, node=self.node)
