@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from hil_tests.cli.live import LiveUnit
 
 from .conftest import TIMEOUT_S, Project
