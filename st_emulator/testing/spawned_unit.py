@@ -163,6 +163,9 @@ class _Asked:
     def __init__(self, process: UnitProcess) -> None:
         self._process = process
 
+    def now_ns(self) -> int:
+        return int(self._process.ask("now_ns"))
+
     def mode(self) -> str:
         return str(self._process.ask("mode"))
 
@@ -247,6 +250,7 @@ class SpawnedStarTracker(StarTracker):
         self.journal = journal
         self._scenario = scenario
         self._begun = False
+        self._begun_ns = 0
         self._unit = settings.unit
         if journal is not None:
             journal.parent.mkdir(parents=True, exist_ok=True)
@@ -281,7 +285,14 @@ class SpawnedStarTracker(StarTracker):
         if self._scenario is not None:
             table = self._scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)
         self.process.ask("begin", scenario=table)
+        self._begun_ns = self._bench.now_ns
         self._begun = True
+
+    def behind_ns(self) -> int:
+        """How far it is behind the computer's clock."""
+        if not self._begun:
+            return 0
+        return self._bench.now_ns - self._begun_ns - self.supervised.now_ns()
 
     def power_off(self) -> None:
         """Cut the power: it falls silent at once."""
