@@ -31,7 +31,7 @@ def test_one_that_comes_later(bench):
     second = bench.unit("roja1", obc=True)
     bench.within(0.5, lambda: second.mode == "STANDBY")
     first_ms, second_ms = (unit.obc.housekeeping("STATUS")["uptime_ms"] for unit in (first, second))
-    assert first_ms - second_ms == 10_000
+    assert 9_950 < first_ms - second_ms <= 10_000, "asked one after the other"
 
 def test_a_link_of_another_time(bench):
     with pytest.raises(Exception, match="this bench is in virtual time"):

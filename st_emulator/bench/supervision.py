@@ -49,6 +49,9 @@ class FrameTimes:
 class Supervised(Protocol):
     """A unit as its supervisor sees it, wherever it runs. Times are virtual ns since it was made."""
 
+    def now_ns(self) -> int:
+        """How long it has lived."""
+
     def mode(self) -> str:
         """The name of its mode."""
 
@@ -80,6 +83,10 @@ class Supervision:
     def __init__(self, emulator: Emulator, times: FrameTimes) -> None:
         self.emulator = emulator
         self._times = times
+
+    def now_ns(self) -> int:
+        """How long it has lived."""
+        return self.emulator.now_ns
 
     def mode(self) -> str:
         """The name of its mode."""
@@ -138,6 +145,7 @@ class Supervision:
 def answers_of(unit: Supervised) -> dict[str, Callable[..., Any]]:
     """What can be asked over a descriptor: by name, with the arguments by name."""
     return {
+        "now_ns": unit.now_ns,
         "mode": unit.mode,
         "truth": unit.truth,
         "inject": unit.inject,

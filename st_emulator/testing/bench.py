@@ -34,7 +34,11 @@ class Bench(Expectations):
         self._stack = contextlib.ExitStack()
         self._buses: dict[bool, Medium] = {}
         self.virtual = settings.link.place == "memory"
-        clock: BenchClock = VirtualBenchClock(settings.speed) if self.virtual else RealBenchClock(self._watch)
+        clock: BenchClock = (
+            VirtualBenchClock(settings.speed)
+            if self.virtual
+            else RealBenchClock(self._watch, self._behind_ns)
+        )
         self.clock = clock
         super().__init__(clock, self.state)
 
@@ -161,6 +165,11 @@ class Bench(Expectations):
     def _medium(self, link: BenchLink) -> Medium:
         """A line of the unit's own, or the bus of all."""
         return self._buses.setdefault(link.fd, Medium()) if link.can else Medium()
+
+    def _behind_ns(self) -> int:
+        """How far the unit that is furthest behind the computer's clock is so."""
+        behind = [unit.behind_ns() for unit in self.units if isinstance(unit, SpawnedStarTracker)]
+        return max([0, *behind])
 
     def _watch(self) -> None:
         for unit in self.units:

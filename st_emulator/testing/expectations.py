@@ -51,6 +51,11 @@ class Expectations:
         self._clock = clock
         self._state = state
 
+    @property
+    def now_ns(self) -> int:
+        """Nanoseconds since the bench was made."""
+        return self._clock.now_ns
+
     def run(self, seconds: float) -> None:
         """Let so much time pass."""
         self._clock.run_until(lambda: False, self._after(seconds))

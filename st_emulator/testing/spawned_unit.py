@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import ConfigurationError
-from ..links import Link, open_link
+from ..links import Link, LinkError, open_link
 from ..obc import Obc
 from . import unit_server
 from .errors import UnitDiedError
@@ -163,6 +163,9 @@ class _Asked:
     def __init__(self, process: UnitProcess) -> None:
         self._process = process
 
+    def now_ns(self) -> int:
+        return int(self._process.ask("now_ns"))
+
     def mode(self) -> str:
         return str(self._process.ask("mode"))
 
@@ -247,6 +250,7 @@ class SpawnedStarTracker(StarTracker):
         self.journal = journal
         self._scenario = scenario
         self._begun = False
+        self._begun_ns = 0
         self._unit = settings.unit
         if journal is not None:
             journal.parent.mkdir(parents=True, exist_ok=True)
@@ -281,7 +285,14 @@ class SpawnedStarTracker(StarTracker):
         if self._scenario is not None:
             table = self._scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)
         self.process.ask("begin", scenario=table)
+        self._begun_ns = self._bench.now_ns
         self._begun = True
+
+    def behind_ns(self) -> int:
+        """How far it is behind the computer's clock."""
+        if not self._begun:
+            return 0
+        return self._bench.now_ns - self._begun_ns - self.supervised.now_ns()
 
     def power_off(self) -> None:
         """Cut the power: it falls silent at once."""
@@ -296,6 +307,11 @@ class SpawnedStarTracker(StarTracker):
             self._claimed.close()
         if self._path is not None:
             _taken.discard(self._path)
+            if self._path.is_symlink():  # it was killed: its link goes as the next one's would
+                from ..links.pty import PtyLink
+
+                with contextlib.suppress(LinkError):
+                    PtyLink(self._path).close()
 
     def _make_obc(self) -> Obc:
         return Obc.connect(self.link, unit=self._unit, node=self.node)
