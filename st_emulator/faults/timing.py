@@ -44,10 +44,10 @@ class Holding(AtReports[SettingsT]):
 
     def let_go(self, held: Held) -> None:
         """It goes on now."""
-        if self.forget(held):
+        if self.drop(held):
             held.action()
 
-    def forget(self, held: Held) -> bool:
+    def drop(self, held: Held) -> bool:
         """It never goes on. False: it is gone."""
         if held not in self._held:
             return False
@@ -59,7 +59,7 @@ class Holding(AtReports[SettingsT]):
     def report(self, report: Report) -> None:
         if isinstance(report, (Restarted, WentOff)):
             for held in [held for held in self._held if held.to_obc]:
-                self.forget(held)
+                self.drop(held)
 
     def end(self) -> None:
         for held in list(self._held):
