@@ -191,18 +191,29 @@ def test_replay_writes_where_it_can(refused, command, tmp_path):
         ('{"format": "other"}\n', ("not a journal", "st-emulator journal 1")),
         ('{"format": "st-emulator journal 1"}\n', ("line 1", "damaged", "unit")),
         ('{"format": "st-emulator journal 1", "unit": {}, "scenario": {}}\n', ("unit", "missing")),
-        ('{"format": "st-emulator journal 1"}\nx\n{"t_ns": 1, "tx": "00"}\n', ("line 2", "JSON")),
-        ('{"format": "st-emulator journal 1"}\n{"t_ns": 1}\n', ("line 2", "rx or tx")),
-        ('{"format": "st-emulator journal 1"}\n{"t_ns": "x", "tx": "00"}\n', ("line 2", "t_ns")),
-        ('{"format": "st-emulator journal 1"}\n{"t_ns": 1, "tx": "0"}\n', ("line 2", "hexadecimal")),
-        ('{"format": "st-emulator journal 1"}\n{"t_ns": 1, "tx": 5}\n', ("line 2", "hexadecimal")),
-        ('{"format": "st-emulator journal 1"}\n3\n{}\n', ("line 2", "JSON object")),
     ],
 )
 def test_bad_journal(text, says, refused, tmp_path):
     path = tmp_path / "journal.jsonl"
     path.write_text(text)
     refused("replay", path, says=(str(path), *says))
+
+
+def test_journal_with_a_bad_line(refused, command, tmp_path):
+    """Its first line is good; what comes behind it is read while it is replayed."""
+    path = tmp_path / "journal.jsonl"
+    assert command("run", "roja1", *FAST, "--journal", path, "--store", "none").status == 0
+    first = path.read_text().split("\n", 1)[0]
+    for text, says in [
+        ('x\n{"t_ns": 1, "tx": "00"}\n', ("line 2", "JSON")),
+        ('{"t_ns": 1}\n', ("line 2", "rx or tx")),
+        ('{"t_ns": "x", "tx": "00"}\n', ("line 2", "t_ns")),
+        ('{"t_ns": 1, "tx": "0"}\n', ("line 2", "hexadecimal")),
+        ('{"t_ns": 1, "tx": 5}\n', ("line 2", "hexadecimal")),
+        ("3\n{}\n", ("line 2", "JSON object")),
+    ]:
+        path.write_text(f"{first}\n{text}")
+        refused("replay", path, says=(str(path), *says))
 
 
 def test_journal_that_is_not_there_or_no_text(refused, tmp_path):

@@ -36,7 +36,7 @@ from ..units.validation import validate
 from ..wire.can.wiring import CanWiring
 from ..world.recorded import RecordedFrames
 from ..world.sampled import SampledTrajectory
-from .controlling import Control, control_options, open_control, token_for, write_ready
+from .controlling import Control, ControlOptions, control_options, open_control, token_for, write_ready
 from .output_file import OutputFile
 from .state_folder import state_folder
 from .warm_up import compile_apart, warm_up
@@ -176,15 +176,36 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def run_unit(options: RunOptions) -> None:
-    """Run a unit as ``st-emulator run`` does, until its end, Ctrl-C or SIGTERM.
+@dataclass(frozen=True)
+class RunPlan:
+    """What the options come to, checked, before anything is opened. ``duration_s``: None, until stopped."""
+
+    profile: UnitProfile
+    scenario: Scenario
+    specification: LinkSpecification
+    speed: float
+    duration_s: float | None
+    frames: RecordedFrames | None
+    control: ControlOptions | None
+
+    @property
+    def live(self) -> bool:
+        """Whether there is a link."""
+        return self.specification.kind != "none"
+
+    @property
+    def until_ns(self) -> int | None:
+        return None if self.duration_s is None else round(self.duration_s * NS_PER_S)
+
+
+def plan_of(options: RunOptions) -> RunPlan:
+    """Everything that can be wrong with the options.
 
     Raises:
         ConfigurationError, LinkError, RecordedFrameError: something the user can mend.
     """
-    console = Console(quiet=options.quiet, stderr=True, soft_wrap=True, highlight=False)
     speed = parse_speed(options.speed)
-    control_asked = control_options(
+    control = control_options(
         lockstep=options.lockstep,
         control=options.control,
         token_file=options.token_file,
@@ -229,6 +250,18 @@ def run_unit(options: RunOptions) -> None:
                 f"--attitude outside: --frames {options.frames} show their own sky; allowed is one of them"
             )
         frames = RecordedFrames(options.frames, profile.detector.columns, profile.detector.rows)
+    return RunPlan(profile, scenario, specification, speed, duration_s, frames, control)
+
+
+def run_unit(options: RunOptions) -> None:
+    """Run a unit as ``st-emulator run`` does, until its end, Ctrl-C or SIGTERM.
+
+    Raises:
+        ConfigurationError, LinkError, RecordedFrameError: something the user can mend.
+    """
+    console = Console(quiet=options.quiet, stderr=True, soft_wrap=True, highlight=False)
+    plan = plan_of(options)
+    profile, scenario, specification, live = plan.profile, plan.scenario, plan.specification, plan.live
     stop = StopSignal()
     with contextlib.ExitStack() as stack:
         stack.callback(stop.close)
@@ -240,7 +273,7 @@ def run_unit(options: RunOptions) -> None:
         link = stack.enter_context(
             open_link(specification, "unit", profile.wire.baud, profile.name, profile.can.bitrate)
         )
-        token = None if control_asked is None else token_for(stack, control_asked)
+        token = None if plan.control is None else token_for(stack, plan.control)
         journal = open_output(stack, options.journal, "--journal")
         truth = open_output(stack, options.truth, "--truth")
         try:
@@ -261,7 +294,7 @@ def run_unit(options: RunOptions) -> None:
             scenario = validate(Scenario, now | given, "--supervisor: scenario")
         elif options.scenario is None:
             scenario = scenario_of(options, live)  # power comes on now
-        paced = speed != math.inf and options.lockstep is None
+        paced = plan.speed != math.inf and options.lockstep is None
         worker = FrameWorker() if paced else None
         if worker is not None:
             stack.callback(worker.close)
@@ -275,7 +308,7 @@ def run_unit(options: RunOptions) -> None:
             profile,
             scenario,
             seed=options.seed,
-            frames=frames,
+            frames=plan.frames,
             hold=options.hold,
             store=store,
             transmit=transmit,
@@ -291,17 +324,17 @@ def run_unit(options: RunOptions) -> None:
         if supervisor is not None and request is not None:
             supervisor.serve(answers_of(Supervision(emulator, times)))
             supervisor.answer(request)
-        until_ns = None if duration_s is None else round(duration_s * NS_PER_S)
+        until_ns = plan.until_ns
         control = None
-        if control_asked is not None and token is not None:
-            served_link = None if specification.kind == "none" else link
-            control = open_control(stack, control_asked, token, emulator, served_link, until_ns, _say)
-        _announce(console, emulator, link, options, store_text, duration_s, control)
+        if plan.control is not None and token is not None:
+            served_link = link if live else None
+            control = open_control(stack, plan.control, token, emulator, served_link, until_ns, _say)
+        _announce(console, emulator, link, options, store_text, plan.duration_s, control)
         watch = _Watch(emulator, console)
         try:
             if control is not None and control.steps:
                 run_lockstep(emulator, control.server, stop=stop, until_ns=until_ns, on_wait=watch)
-            elif speed == math.inf:
+            elif plan.speed == math.inf:
                 assert until_ns is not None
                 run_unpaced(emulator, stop=stop, until_ns=until_ns)
             else:
@@ -309,7 +342,7 @@ def run_unit(options: RunOptions) -> None:
                     emulator,
                     link,
                     stop=stop,
-                    speed=speed,
+                    speed=plan.speed,
                     until_ns=until_ns,
                     on_wait=watch,
                     control=None if control is None else control.server,
