@@ -115,8 +115,12 @@ def test_clock_uses_are_found():
     assert clock_uses(source) == {"time.time", "time.monotonic", "time.sleep", "datetime.now", "date.today"}
 
 
+#: Who draws by ``random``: faults, each from a seed of its own.
+CHANCE = {"st_emulator/faults/fault.py", "st_emulator/faults/chance.py"}
+
+
 def test_chance_has_a_seed():
-    assert users("random", "secrets", "uuid") == {"st_emulator/faults/fault.py"}  # of a fault's own seed
+    assert users("random", "secrets", "uuid") == CHANCE
     for source in under("st_emulator"):
         for node in ast.walk(source.tree):
             if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("default_rng"):
