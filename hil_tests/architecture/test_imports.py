@@ -125,6 +125,10 @@ def test_clock_uses_are_found():
     assert clock_uses(source) == {"time.time", "time.monotonic", "time.sleep", "datetime.now", "date.today"}
 
 
+#: Who draws by ``random``: faults, each from a seed of its own.
+CHANCE = {"st_emulator/faults/fault.py", "st_emulator/faults/chance.py"}
+
+
 def test_chance_has_a_seed():
     # Of a fault's own seed, and what is given a generator that has one.
     assert users("random", "uuid") == {"st_emulator/faults/fault.py", "st_emulator/faults/chance.py"}

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import random
+import struct
 from typing import Any, Final
 
-from hil_tests.vectors import reference_decoder as wire
 from st_emulator.bench.emulator import Emulator
 from st_emulator.clock import NS_PER_S
+
+from .wire import slip_frame, telecommand
 
 SOURCE: Final = 0x2A
 BITS_PER_OCTET: Final = 10
@@ -20,12 +22,12 @@ RAM, PROGRAM = 1, 4
 OPERATION: Final = bytes(range(64))
 
 
-def function(name: str, **arguments: int) -> tuple[str, dict[str, Any]]:
-    return "function", {"function_id": FUNCTION[name], "arguments": arguments}
+def function(name: str, packed: bytes = b"") -> tuple[str, dict[str, Any]]:
+    return "function", {"function_id": FUNCTION[name], "packed": packed}
 
 
-def parameter(number: int, value: float) -> tuple[str, dict[str, Any]]:
-    return "parameter_set", {"settings": [{"parameter_id": number, "value": value}]}
+def parameter(number: int, packed: bytes) -> tuple[str, dict[str, Any]]:
+    return "parameter_set", {"id": number, "packed": packed}
 
 
 #: What an OBC asks while all is well: none of it ends the tracking.
@@ -40,19 +42,16 @@ QUIET: Final = (
 #: What it does while something may go wrong.
 BUSY: Final = (
     *QUIET,
-    parameter(EXPOSURE_US, 100_000),
-    parameter(AUTONOMOUS_START, 1),
+    parameter(EXPOSURE_US, struct.pack(">I", 100_000)),
+    parameter(AUTONOMOUS_START, b"\1"),
     function("GO_STANDBY"),
     function("START_ACQUISITION"),
     function("START_SELF_TEST"),
     function("CAPTURE_IMAGE"),
-    function("DOWNLOAD_IMAGE", transaction_id=1, first_part=0, parts=5),
-    function("RESET", kind=0),
-    function("RESET", kind=1),
-    (
-        "memory_load",
-        {"memory_id": RAM, "start_address": 0, "data": OPERATION, "checksum": wire.crc16(OPERATION)},
-    ),
+    function("DOWNLOAD_IMAGE", struct.pack(">HHH", 1, 0, 5)),
+    function("RESET", b"\0"),
+    function("RESET", b"\1"),
+    ("memory_load", {"memory_id": RAM, "start_address": 0, "data": OPERATION}),
 )
 
 
@@ -66,16 +65,9 @@ class SoakObc:
 
     def send(self, name: str, fields: dict[str, Any]) -> int:
         """A telecommand now; returns how many octets it has on the line."""
-        packet = wire.encode_telecommand(
-            name,
-            fields,
-            sequence_count=self._count & 0x3FFF,
-            ack=15,
-            apid=self._emulator.profile.apid,
-            source_id=SOURCE,
-        )
+        packet = telecommand(name, fields, apid=self._emulator.profile.apid, count=self._count, source=SOURCE)
         self._count += 1
-        octets = wire.slip_frame(packet)
+        octets = slip_frame(packet)
         self._emulator.receive(octets)
         return len(octets)
 
@@ -87,18 +79,18 @@ class SoakObc:
         """Any time. Returns (seconds of TAI, virtual ns at which they hold: the last bit's arrival)."""
         seconds = self._chance.randrange(2_000_000_000, 2_200_000_000)
         sent_ns = self._emulator.now_ns
-        octets = self.send("set_time", {"time": (seconds, 0)})
+        octets = self.send("set_time", {"seconds": seconds})
         return seconds, sent_ns + octets * BITS_PER_OCTET * NS_PER_S // self._emulator.baud
 
     def start_anew(self) -> None:
         """Whatever it has come to: good parameters, and a start."""
-        for telecommand in (
+        for one in (
             function("GO_STANDBY"),
             function("RESTORE_DEFAULT_PARAMETERS"),
-            parameter(AUTONOMOUS_START, 1),
-            function("RESET", kind=0),
+            parameter(AUTONOMOUS_START, b"\1"),
+            function("RESET", b"\0"),
         ):
-            self.send(*telecommand)
+            self.send(*one)
             self.wait(0.5)
 
     def wait(self, seconds: float) -> None:
