@@ -124,7 +124,8 @@ def _values(annotation: Any, metadata: list[Any]) -> st.SearchStrategy[Any]:
         for name in ("ge", "le", "gt"):
             if (limit := getattr(item, name, None)) is not None:
                 limits["max_value" if name == "le" else "min_value"] = limit
-                limits["exclude_min"] = name == "gt"
+                if name == "gt":
+                    limits["exclude_min"] = True
     if annotation is bool:
         return st.booleans()
     if annotation is int:
