@@ -108,9 +108,11 @@ def test_a_scenario_in_another_language_names_the_telecommand(refused) -> None:
     refused(*run, "sagitta", says=("telecommands.0", "set_time: time", "utc or unix_us"))
 
 
-def test_journals_of_another_door_are_refused(refused, tmp_path: Path) -> None:
+def test_journals_of_another_door_are_refused(refused, command, tmp_path: Path) -> None:
     """A scenario's telecommands on a CAN bus came in behind the transport once."""
     path = tmp_path / "old.jsonl"
-    header = '{"format": "st-emulator journal 1"}'
+    run = ("run", "roja1", "--speed", "max", "--seconds", "1", "--journal", path, "--store", "none")
+    assert command(*run).status == 0
+    header = path.read_text().split("\n", 1)[0]
     path.write_text(f'{header}\n{{"t_ns": 5, "packet": "00"}}\n')
     refused("replay", path, says=(str(path), "line 2", "recorded anew"))

@@ -120,11 +120,12 @@ TEACHES = {
     ("units",): ("--json",),
     ("faults",): ("KIND", "--seam", "--json", "what the OBC must see", "TOML"),
     ("prepare",): ("Compile",),
-    ("export",): ("icd", "scenario-schema", "unit-schema", "dbc", "dialects"),
+    ("export",): ("icd", "scenario-schema", "unit-schema", "dbc", "dialects", "fmu"),
     ("export", "dialects"): ("--out", "--check", "docs/dialects"),
     ("export", "icd"): ("--out", "--check", "status 2"),
     ("export", "scenario-schema"): ("--out", "--check"),
     ("export", "unit-schema"): ("--out", "--check"),
+    ("export", "fmu"): ("UNIT", "--out", "--scenario", "FMI 2.0", "power", "st-emulator[fmu]"),
     ("export", "dbc"): ("UNIT[:NODE]", "--output", "--fd", "--check", "docs/units.dbc", "standard output"),
     ("obc",): ("--link", "--apid", "--script", "--record", "--watch", "--json", "Exit status"),
 }

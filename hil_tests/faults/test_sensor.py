@@ -19,6 +19,7 @@ from hil_tests.faults.sensor_bench import (
     rendered,
 )
 from hil_tests.faults.settings_at_random import settings_at_random
+from st_emulator.errors import ConfigurationError
 from st_emulator.faults.catalogue import FAULTS
 from st_emulator.units.profile import load_unit
 
@@ -55,7 +56,7 @@ def draw_tables(data: st.DataObject, kinds: list[str], unit: str) -> list[dict[s
     try:
         for table in tables:
             fault_of(table, unit)
-    except ValueError as error:
+    except (ValueError, ConfigurationError) as error:
         if "allowed" not in str(error):  # what one that the unit cannot have is refused with
             raise
         return None

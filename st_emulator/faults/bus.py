@@ -16,6 +16,7 @@ from ..clock import NS_PER_MS
 from ..protocol.can.bits import frame_duration_ns
 from ..protocol.can.cyclic import TELECOMMAND
 from ..protocol.can.frames import MAX_EXTENDED_IDENTIFIER, MAX_STANDARD_IDENTIFIER, CanFrame, encode_record
+from ..units.validation import Switch
 from ..wire.can.bus import CanBusSettings
 from ..wire.can.controller import CLASS_BUS_OFF, BusError
 from .fault import AtBus, AtFrames, DirectedSettings, FaultKind, FaultSettings, Reach, SettingsT
@@ -107,8 +108,10 @@ class BabblingNodeSettings(FaultSettings):
     frames_per_s: Annotated[float, Field(ge=0.001, le=20_000, description="at most what the bus carries")] = (
         2000.0
     )
-    identifier: Annotated[int, Field(ge=0, le=MAX_EXTENDED_IDENTIFIER)] = 1
-    extended: bool = False
+    identifier: Annotated[
+        int, Field(ge=0, le=MAX_EXTENDED_IDENTIFIER, description="of its frames; the lower one goes first")
+    ] = 1
+    extended: Annotated[Switch, Field(description="29 bits instead of 11")] = False
     octets: Annotated[int, Field(ge=0, le=8, description="of data in a frame, random ones")] = 8
 
     @model_validator(mode="after")

@@ -82,7 +82,9 @@ class Silence(AtOctets[SilenceSettings]):
 
 class BabbleSettings(DirectedSettings):
     kind: Literal["line.babble"]
-    octets_per_s: Annotated[float, Field(ge=0.001, le=1_000_000)] = 1000.0
+    octets_per_s: Annotated[
+        float, Field(ge=0.001, le=1_000_000, description="at most what the line carries")
+    ] = 1000.0
 
 
 class Babble(Repeating[BabbleSettings]):

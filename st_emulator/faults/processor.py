@@ -66,7 +66,7 @@ class CacheOff(_Slower[CacheOffSettings]):
 
 class SlowStageSettings(FaultSettings):
     kind: Literal["processor.slow_stage"]
-    stage: Stage = "centroid"
+    stage: Annotated[Stage, Field(description="of the processing")] = "centroid"
     factor: Factor = 50.0
 
 

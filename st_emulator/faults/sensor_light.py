@@ -27,8 +27,8 @@ MOST_STEPS = 1024
 class FalseStarsSettings(FaultSettings):
     kind: Literal["sensor.false_stars"]
     number: Annotated[int, Field(ge=1, le=2000, description="in a frame")] = 20
-    brightest_mag: Magnitude = 2.0
-    faintest_mag: Magnitude = 6.0
+    brightest_mag: Annotated[Magnitude, Field(description="of the brightest, Hp")] = 2.0
+    faintest_mag: Annotated[Magnitude, Field(description="of the faintest; evenly spread between")] = 6.0
     places: Annotated[
         Literal["new", "fixed"], Field(description="others in each frame, or the same in all")
     ] = "new"
@@ -111,7 +111,9 @@ _BODIES = {"sun": Sun, "moon": Moon, "earth": Earth}
 
 class BlindingSettings(FaultSettings):
     kind: Literal["sensor.blinding"]
-    body: Literal["sun", "moon", "earth"] = "sun"
+    body: Annotated[Literal["sun", "moon", "earth"], Field(description="that comes near the boresight")] = (
+        "sun"
+    )
     angle_deg: Annotated[
         float | None,
         Field(
@@ -182,8 +184,8 @@ class Blinding(SensorFault[BlindingSettings]):
 
 class BrightObjectSettings(FaultSettings):
     kind: Literal["sensor.bright_object"]
-    magnitude: Magnitude = -2.0
-    rate_deg_s: Annotated[float, Field(gt=0, le=100)] = 2.0
+    magnitude: Annotated[Magnitude, Field(description="of the object, Hp")] = -2.0
+    rate_deg_s: Annotated[float, Field(gt=0, le=100, description="at which it crosses")] = 2.0
     direction_deg: Direction = 30.0
     offset_px: Annotated[
         float, Field(ge=-10_000, le=10_000, description="how far beside the middle of the image it passes")

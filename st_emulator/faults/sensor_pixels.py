@@ -23,7 +23,7 @@ Line = Annotated[int, Field(ge=0, le=8191)]
 
 class HotPixelsSettings(FaultSettings):
     kind: Literal["sensor.hot_pixels"]
-    number: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
+    number: Annotated[int, Field(ge=1, le=1_000_000, description="at places by chance")] = 1000
     electrons_s: Annotated[
         float,
         Field(gt=0, le=1e9, description="mean dark current; single ones by an exponential distribution"),
@@ -63,7 +63,7 @@ class HotPixels(SensorFault[HotPixelsSettings]):
 class DeadRowsSettings(FaultSettings):
     kind: Literal["sensor.dead_rows"]
     number: Annotated[int, Field(ge=1, le=8192, description="so many by chance, where rows names none")] = 5
-    rows: Annotated[tuple[Line, ...], Field(max_length=8192)] = ()
+    rows: Annotated[tuple[Line, ...], Field(max_length=8192, description="from the top, from 0")] = ()
     value_dn: Annotated[
         int, Field(ge=0, le=65535, description="what they show, up to the converter's end")
     ] = 0
@@ -74,7 +74,7 @@ class DeadColumnsSettings(FaultSettings):
     number: Annotated[
         int, Field(ge=1, le=8192, description="so many by chance, where columns names none")
     ] = 5
-    columns: Annotated[tuple[Line, ...], Field(max_length=8192)] = ()
+    columns: Annotated[tuple[Line, ...], Field(max_length=8192, description="from the left, from 0")] = ()
     value_dn: Annotated[
         int, Field(ge=0, le=65535, description="what they show, up to the converter's end")
     ] = 0

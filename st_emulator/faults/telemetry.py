@@ -178,7 +178,9 @@ class StuckSequenceCount(AtMessages[StuckSequenceCountSettings]):
 
 class NotANumberSettings(FaultSettings):
     kind: Literal["telemetry.not_a_number"]
-    component: Literal["x", "y", "z", "w", "all"] = "all"
+    component: Annotated[
+        Literal["x", "y", "z", "w", "all"], Field(description="of the quaternion that is told")
+    ] = "all"
 
 
 class NotANumber(AtAttitude[NotANumberSettings], AtMessages[NotANumberSettings]):
