@@ -180,9 +180,13 @@ def _allowed(schema: Schema, node: Schema | None) -> str:
     return "a table"
 
 
+def _number(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:.15g}"
+
+
 def _range(node: Schema) -> str:
     parts = [
-        f"{words} {node[name]:.15g}"
+        f"{words} {_number(node[name])}"
         for name, words in (
             ("minimum", "from"),
             ("exclusiveMinimum", "over"),
