@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
+from hil_tests.vectors.reference_can import Peer
 from st_emulator.bench.emulator import Emulator
 from st_emulator.bench.journal import read_journal
 from st_emulator.bench.scenario import Scenario, parse_scenario
@@ -19,7 +20,9 @@ from st_emulator.drivers.lockstep import Lockstep, LockstepError, PausedError
 from st_emulator.errors import ConfigurationError
 from st_emulator.faults.catalogue import FAULTS
 from st_emulator.links import memory_link_pair
+from st_emulator.links.can.bus import CanLink
 from st_emulator.units.profile import load_unit
+from st_emulator.wire.can.wiring import CanWiring
 from st_emulator.world import trajectory
 from st_emulator.world.sampled import BeyondTruthError, SampledTrajectory
 
@@ -339,3 +342,32 @@ def test_faults_put_in_live_are_in_the_journal_with_the_truth(tmp_path):
     feed(emulator, read)
     emulator.close()
     assert again.getvalue().splitlines()[1:] == journal.getvalue().splitlines()[1:]
+
+
+def test_a_can_bus_beside_it_in_lockstep():
+    """An OBC at the far end of a bus of python-can: its frames are taken when a step begins, and the same
+    steps give the same frames at the same times.
+    """
+    runs = []
+    for number in range(2):
+        channel = f"lockstep-{number}"
+        ends = [CanLink("virtual", channel, 1_000_000) for _ in range(2)]
+        unit_end, obc_end = ends
+        with unit_end, obc_end:
+            unit = Lockstep.of(ROJA1, link=unit_end, can=CanWiring(), trajectory=None)
+            peer = Peer(0x60A, 0x58A)
+            taken: list[tuple[int, bytes]] = []
+            for step in range(1, 301):
+                if step == 100:
+                    peer.send(wire.encode_telecommand("ping", {}, apid=ROJA1.apid, sequence_count=0, ack=15))
+                while peer.outbox:
+                    obc_end.write(peer.outbox.popleft())
+                unit.step_to(step * 5 * MS)
+                peer.take(obc_end.read(), unit.now_ns)
+                taken += unit.take_groups()
+            unit.emulator.close()
+        names = [wire.decode_telemetry(packet)["name"] for _, packet in peer.packets]
+        assert "pong" in names
+        assert peer.broken == 0
+        runs.append(taken)
+    assert runs[0] == runs[1]
