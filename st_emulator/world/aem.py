@@ -11,6 +11,7 @@ the attitudes holds what `sampled` says, whatever INTERPOLATION_METHOD recommend
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -72,7 +73,9 @@ def _parsed(text: str) -> Any:
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise ValueError("XML with a document type; allowed is XML without")
     try:
-        return NdmIo().from_string(_as_xml(text) if _is_kvn_2(text) else text)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # of a value that is none, which it would hand on as a text
+            return NdmIo().from_string(_as_xml(text) if _is_kvn_2(text) else text)
     except Exception as error:  # whatever its parsers raise: it is the file
         told = " ".join(f"{type(error).__name__}: {error}".split())
         raise ValueError(f"no AEM that can be read ({told[:120]})") from error
