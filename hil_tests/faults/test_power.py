@@ -8,9 +8,11 @@ import pytest
 
 from hil_tests.unit.conftest import MODE, MS, Bench, make, make_can
 from hil_tests.unit.test_life_at_random import TELECOMMANDS, Watched, back_to_standby, check, function
+from st_emulator.bench.emulator import Emulator
 from st_emulator.bench.scenario import Scenario
 from st_emulator.errors import ConfigurationError
 from st_emulator.faults.supply import Supply
+from st_emulator.units.profile import load_unit
 
 
 def cut(bench: Bench, **settings: Any) -> int:
@@ -189,3 +191,28 @@ def test_while_a_telecommand_runs(number: int) -> None:
         watched.bench.run(60)
     back_to_standby(watched, cycle=True)
     check(watched)
+
+
+def test_the_switch_and_a_cut_both_keep_power_away() -> None:
+    """Power is there when the switch is on and no fault keeps it away, whichever lets go last."""
+    emulator = Emulator(load_unit("roja1"))
+    second = 1_000_000_000
+    powered = []
+
+    def at(seconds: float) -> None:
+        emulator.advance(round(seconds * second))
+        powered.append(emulator.device.powered)
+
+    emulator.advance(second)
+    emulator.power(False)
+    emulator.faults.inject({"kind": "power.cut", "duration_s": 2})
+    at(2)
+    at(3.5)  # the fault has ended, the switch is off
+    emulator.power(True)
+    at(4)
+    emulator.faults.inject({"kind": "power.cut", "duration_s": 2})
+    emulator.power(False)
+    emulator.power(True)
+    at(5)  # the switch is on again, the fault lasts
+    at(6.5)
+    assert powered == [False, False, True, False, True]

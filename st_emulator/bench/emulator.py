@@ -184,6 +184,7 @@ class Emulator:
         self.device.speak_through(SeamedSpeaker(self.dialect, self._seams))
         self.faults = Faults(self._seams, self.seed, self._fault_told, self._fault_done)
         self._supply = Supply(self.device)
+        self._switched_on = True
         self.faults.attach(self._reach(), self.scenario.faults, self.scenario.where)
         self._supply.begin()
 
@@ -231,15 +232,16 @@ class Emulator:
         self._external_transmit = transmit
 
     def power(self, on: bool) -> None:
-        """Switch the power at the present time; it has come on by itself at the start. Nothing
-        where it is so."""
-        if on == self.device.powered:
+        """Switch the power at the present time; at the start it is on. Nothing where the switch is so. With
+        it on, a fault may still keep power away."""
+        if on == self._switched_on:
             return
+        self._switched_on = on
         self._fault_done("power", "on" if on else "off")
         if on:
-            self.device.power_on()
+            self._supply.restore(self)
         else:
-            self.device.power_off()
+            self._supply.cut(self)
 
     def do(self, what: str, content: Any) -> None:
         """Do again what a journal says was done to the run: "inject" a fault, "clear" one, "power" is

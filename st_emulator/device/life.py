@@ -25,6 +25,8 @@ class Life:
     A subclass says in ``_power_came``, ``_power_went``, ``_begin``, ``_booted``, ``_come_to_rest`` and
     ``_fall_still`` what it does then.
 
+    ``powered_since_ns``: when power came last; the frame grid runs from there.
+
     Args:
         clock: the virtual clock; power comes on with :meth:`power_on`.
         boot_ns: how long a boot takes.
@@ -34,6 +36,7 @@ class Life:
         self.clock = clock
         self.mode = Mode.OFF
         self.powered = False
+        self.powered_since_ns = 0
         self.reset_cause = ResetCause.POWER_ON
         self._boot_ns = boot_ns
         self._speaker: Speaker = MUTE
@@ -83,6 +86,7 @@ class Life:
         if self.powered:
             return
         self.powered = True
+        self.powered_since_ns = self.clock.now_ns
         self._boot(ModeEvent.POWER_ON, ResetCause.POWER_ON, self._power_came)
 
     def power_off(self) -> None:

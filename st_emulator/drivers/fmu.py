@@ -118,7 +118,6 @@ class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]
         self._emulator: Emulator | None = None
         self._truth = SampledTrajectory()
         self._decoder = SlipDecoder(MAX_TELEMETRY_BYTES)
-        self._power_on_ns = 0
         self._start_ns = 0
 
     def _register(self, variable: Any) -> None:
@@ -170,7 +169,7 @@ class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]
             profile, scenario, seed=self.seed, transmit=self._transmitted, trajectory=self._truth
         )
         if not self.power:
-            self._emulator.device.power_off()
+            self._switch(self._emulator)
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Let the unit live from ``current_time`` to ``current_time + step_size``, seconds."""
@@ -198,8 +197,7 @@ class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]
                 f"a step from {start_ns / NS_PER_S:.9g} s to {end_ns / NS_PER_S:.9g} s; allowed are steps "
                 f"that follow each other, the next from {emulator.now_ns / NS_PER_S:.9g} s"
             )
-        if bool(self.power) != emulator.device.powered:
-            self._switch(emulator, start_ns)
+        self._switch(emulator)
         attitude = self._attitude()
         if start_ns and not _same(attitude, self._truth.q_icrs_to_sensor(start_ns)):
             self._sample(start_ns + 1, attitude)  # what the turn over the last step had not led to
@@ -209,12 +207,10 @@ class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]
         self._sample(end_ns, quaternion.multiply(turn, attitude))
         emulator.advance(end_ns)
 
-    def _switch(self, emulator: Emulator, now_ns: int) -> None:
-        if self.power:
-            emulator.device.power_on()
-            self._power_on_ns = now_ns
-        else:
-            emulator.device.power_off()
+    def _switch(self, emulator: Emulator) -> None:
+        """As the input says; a fault of the scenario may keep power away although it is on."""
+        emulator.power(bool(self.power))
+        if not emulator.device.powered:
             self.valid, self.mode = False, NO_MODE
 
     def _attitude(self) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -261,7 +257,9 @@ class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]
         assert self._emulator is not None
         period_ns = self._emulator.profile.frame_period_ns
         mid_ns = (
-            fields["frame_index"] * period_ns + fields["exposure_us"] * NS_PER_US // 2 + self._power_on_ns
+            fields["frame_index"] * period_ns
+            + fields["exposure_us"] * NS_PER_US // 2
+            + self._emulator.device.powered_since_ns
         )
         for axis in "xyzw":
             setattr(self, f"measured_q_{axis}", fields[f"q_{axis}"])
