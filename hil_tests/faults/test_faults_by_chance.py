@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import json
 import random
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,14 @@ from hypothesis import strategies as st
 
 from hil_tests.unit.conftest import MODE, Bench, make
 from hil_tests.unit.test_life_at_random import TELECOMMANDS
+from st_emulator.bench.emulator import Emulator
 from st_emulator.bench.journal import read_journal
 from st_emulator.bench.scenario import Scenario
 from st_emulator.commands.replaying import emulator_of, feed
 from st_emulator.errors import ConfigurationError
 from st_emulator.faults.catalogue import FAULTS
 from st_emulator.faults.chance import kinds_of, settings_by_chance
+from st_emulator.units.profile import load_unit
 from st_emulator.wire.can.wiring import CanWiring
 
 QUICK = {"timing": {"boot_ms": 30}}
@@ -122,3 +126,18 @@ def test_the_same_run_again_and_its_replay(seed: int, on_can: bool, tmp_path: Pa
 def _notes(journal: io.StringIO) -> list[Any]:
     found = [json.loads(line) for line in journal.getvalue().splitlines()]
     return [line for line in found if "note" in line]
+
+
+@pytest.mark.parametrize("kind", ["sensor.hot_pixels", "sensor.dust", "sensor.torn_frame", "line.babble"])
+def test_of_a_fault_that_is_over_nothing_is_kept(kind: str) -> None:
+    """Some hold whole images, and a run of days has thousands of them."""
+    emulator = Emulator(load_unit("roja1"), Scenario(parameters={"autonomous_start": 1}))
+    emulator.advance(2_000_000_000)
+    emulator.faults.inject({"kind": kind, "duration_s": 1})
+    (one,) = emulator.faults.active()
+    fault = weakref.ref(one.fault)
+    assert fault() is not None
+    emulator.advance(4_000_000_000)
+    gc.collect()
+    assert fault() is None
+    assert one.over

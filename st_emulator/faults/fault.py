@@ -115,10 +115,6 @@ class Fault(Generic[SettingsT]):
         """Its chance, in the order of what it was asked."""
         return Random(self.seed)
 
-    def forget(self) -> None:
-        """It is over and will be asked no more: a run of days has many such."""
-        self.__dict__.pop("random", None)
-
     def strikes(self) -> bool:
         """Whether it strikes what passes now."""
         return self.settings.probability >= 1.0 or self.random.random() < self.settings.probability

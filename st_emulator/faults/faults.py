@@ -24,13 +24,13 @@ Done = Callable[[str, Any], None]
 @dataclass
 class InForce:
     """A fault of the run: ``number`` from 0 in the order in which they were put in, ``active`` from its begin
-    to its end."""
+    to its end; ``fault``: None from there on."""
 
     number: int
     settings: FaultSettings
     start_ns: int
     end_ns: int | None
-    fault: Fault[Any]
+    fault: Fault[Any] | None
     active: bool = False
     over: bool = False
     _events: tuple[ScheduledEvent, ...] = ()
@@ -133,7 +133,7 @@ class Faults:
         self._told(number, one.settings.kind, "is cleared")
         if one.active:
             self._end(one, told=False)
-        one.over = True
+        one.over, one.fault = True, None
 
     def active(self) -> list[InForce]:
         """Those that have begun and not ended."""
@@ -182,22 +182,26 @@ class Faults:
 
     def _begin(self, one: InForce) -> None:
         assert self._reach is not None
+        fault = one.fault
+        assert fault is not None
         one.active = True
         self._told(one.number, one.settings.kind, "begins")
-        self._seams.add(one.fault)
-        if one.end_ns is not None and not one.fault.instant:
+        self._seams.add(fault)
+        if one.end_ns is not None and not fault.instant:
             one._events = (self._reach.clock.at(one.end_ns, lambda: self._end(one)),)
-        one.fault.begin()
-        if one.fault.instant and one.active:
+        fault.begin()
+        if fault.instant and one.active:
             self._end(one, told=False)
 
     def _end(self, one: InForce, *, told: bool = True) -> None:
+        fault = one.fault
+        assert fault is not None
         one.active, one.over = False, True
-        self._seams.remove(one.fault)
+        self._seams.remove(fault)
         if told:
             self._told(one.number, one.settings.kind, "ends")
-        one.fault.end()
-        one.fault.forget()
+        fault.end()
+        one.fault, one._events = None, ()  # some hold whole images, and a run of days has thousands of them
 
 
 _WIRES = {"serial": "a serial line", "can": "a CAN bus"}
