@@ -32,11 +32,13 @@ class ScheduledEvent:
 class VirtualClock:
     """A queue of events and the present virtual time.
 
-    ``now_ns`` only grows. Two events of the same time run in the order in which they were scheduled.
+    ``now_ns`` only grows; ``actions`` counts those that were run. Two events of the same time run in the order
+    in which they were scheduled.
     """
 
     def __init__(self) -> None:
         self.now_ns = 0
+        self.actions = 0
         self._sequence = 0
         self._queue: list[ScheduledEvent] = []
 
@@ -76,5 +78,6 @@ class VirtualClock:
             except Exception:
                 heapq.heappush(self._queue, event)
                 raise
+            self.actions += 1
         if until_ns > self.now_ns:
             self.now_ns = until_ns

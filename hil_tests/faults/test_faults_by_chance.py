@@ -141,3 +141,29 @@ def test_of_a_fault_that_is_over_nothing_is_kept(kind: str) -> None:
     gc.collect()
     assert fault() is None
     assert one.over
+
+
+def test_what_comes_at_one_instant_replays_in_its_order(tmp_path: Path) -> None:
+    """A fault that acts at once, and octets of the OBC at the same time, whether the driver lets the clock run
+    between them or not."""
+    path = tmp_path / "journal.jsonl"
+    sent: list[tuple[int, bytes]] = []
+    with path.open("w") as journal:
+        bench = make(journal=journal)
+        emulator = bench.emulator
+        emulator.transmit_to(lambda data, t_ns: sent.append((t_ns, data)))
+        emulator.advance(2_000_000_000)
+        for seed in range(20):
+            emulator.faults.inject(
+                {"kind": "line.babble", "direction": "both", "duration_s": 0.02, "seed": seed}
+            )
+            if seed % 2:
+                emulator.advance(emulator.now_ns)
+            bench.send("ping")
+            emulator.advance(emulator.now_ns + 100_000_000)
+        emulator.close()
+    assert path.read_text().count('"settle"') == 10
+    again: list[tuple[int, bytes]] = []
+    read = read_journal(path)
+    feed(emulator_of(read, str(path), transmit=lambda data, t_ns: again.append((t_ns, data))), read)
+    assert again == sent

@@ -142,6 +142,7 @@ class Emulator:
         self._pace_reception = pace_reception
         self._disturbance = disturbance
         self.clock = VirtualClock()
+        self._came_in = (0, 0)  # time and actions until then of what came from outside last
         self._external_transmit = transmit
         self._hold = hold
         self._seams = Seams()
@@ -223,9 +224,18 @@ class Emulator:
     def receive(self, data: bytes) -> None:
         """The OBC put ``data`` on the line at the present virtual time."""
         if data:
+            self._comes_in()
             if self._journal is not None:
                 self._journal.write(self.clock.now_ns, "rx", data)
             self._arrive(data)
+
+    def _comes_in(self) -> None:
+        """Something comes from outside now. What came at one instant before anything else happened is one
+        thing (frames compete for the bus); what happened in between is told to the journal.
+        """
+        before, self._came_in = self._came_in, (self.clock.now_ns, self.clock.actions)
+        if self._journal is not None and before[0] == self._came_in[0] and before != self._came_in:
+            self._journal.write_doing(self.clock.now_ns, "settle", None)
 
     def transmit_to(self, transmit: Callable[[bytes, int], int | None]) -> None:
         """What leaves the unit goes there from now on, as with the argument ``transmit``."""
@@ -245,12 +255,14 @@ class Emulator:
 
     def do(self, what: str, content: Any) -> None:
         """Do again what a journal says was done to the run: "inject" a fault, "clear" one, "power" is
-        switched, "truth" gives a sample of it.
+        switched, "truth" gives a sample of it; "settle" runs what is due at this instant.
 
         Raises:
             ConfigurationError: it makes no sense here.
         """
         match what:
+            case "settle":
+                self.clock.advance(self.clock.now_ns)
             case "inject":
                 self.faults.inject(content)
             case "clear":
@@ -383,6 +395,7 @@ class Emulator:
         )
 
     def _truth_given(self, sample: TruthSample) -> None:
+        self._comes_in()
         if self._journal is not None:
             self._journal.write_doing(self.clock.now_ns, "truth", sample.as_dict())
 
@@ -409,6 +422,7 @@ class Emulator:
             self._journal.note(self.clock.now_ns, f"fault {number} {kind} {what}")
 
     def _fault_done(self, what: str, content: Any) -> None:
+        self._comes_in()
         if self._journal is not None:
             self._journal.write_doing(self.clock.now_ns, what, content)
 

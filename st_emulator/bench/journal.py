@@ -6,8 +6,9 @@ put on the line, ``"tx"`` when the unit's last bit of the group has left. On a C
 of a frame (see ``protocol.can.frames``); ``"refused"`` is one that the link did not take. What somebody did
 to the run from outside stands there as well: ``"inject"`` is a fault that was put in live, ``"stand"`` one of
 somebody's own, ``"clear"`` the number of one that was ended so, ``"power"`` its switch, ``"truth"`` a sample
-of the true attitude. ``"note"`` is for people. It holds virtual times only: the same run gives the same file
-at any speed.
+of the true attitude. What came at one instant was there before anything else of that instant happened, unless
+``"settle"`` stands between: then what was due had happened. ``"note"`` is for people. It holds virtual times
+only: the same run gives the same file at any speed.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from ..errors import ConfigurationError
 
 FORMAT = "st-emulator journal 1"
 DIRECTIONS = ("rx", "tx", "refused")
-DOINGS = ("inject", "stand", "clear", "power", "truth")
+DOINGS = ("inject", "stand", "clear", "power", "truth", "settle")
 
 
 class TextSink(Protocol):

@@ -82,7 +82,8 @@ def feed(emulator: Emulator, journal: Journal, until_ns: int | None = None) -> N
     for one in journal.inputs:
         if one.t_ns > end_ns:
             continue
-        _advance(emulator, one.t_ns)
+        if one.t_ns > emulator.now_ns:
+            _advance(emulator, one.t_ns)
         if isinstance(one, JournalEntry):
             emulator.receive(one.data)
         else:
@@ -216,7 +217,8 @@ class Replay:
     def _give(self, line: Line | None) -> None:
         if line is None:
             return
-        self._advance(line.t_ns)
+        if line.t_ns > self.emulator.now_ns:
+            self._advance(line.t_ns)
         if isinstance(line, JournalEntry):
             self.rx_bytes += len(line.data)
             self.emulator.receive(line.data)
@@ -224,7 +226,7 @@ class Replay:
             self.emulator.do(line.what, line.content)
 
     def _advance(self, until_ns: int) -> None:
-        self.emulator.advance(until_ns)
+        _advance(self.emulator, until_ns)
         self.comparison.compare()
         self._refusals = {one for one in self._refusals if one[0] >= until_ns}
         self._progress(until_ns)
