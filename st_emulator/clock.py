@@ -32,8 +32,8 @@ class ScheduledEvent:
 class VirtualClock:
     """A queue of events and the present virtual time.
 
-    ``now_ns`` only grows; ``actions`` counts those that were run. Two events of the same time run in the order
-    in which they were scheduled.
+    ``now_ns`` only grows; ``actions`` counts those that were run. Two events of the same time run in the
+    order in which they were scheduled.
     """
 
     def __init__(self) -> None:

@@ -144,8 +144,8 @@ def test_of_a_fault_that_is_over_nothing_is_kept(kind: str) -> None:
 
 
 def test_what_comes_at_one_instant_replays_in_its_order(tmp_path: Path) -> None:
-    """A fault that acts at once, and octets of the OBC at the same time, whether the driver lets the clock run
-    between them or not."""
+    """A fault that acts at once, and octets of the OBC at the same time, whether the driver lets the clock
+    run between them or not."""
     path = tmp_path / "journal.jsonl"
     sent: list[tuple[int, bytes]] = []
     with path.open("w") as journal:

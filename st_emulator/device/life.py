@@ -6,6 +6,7 @@ Everything that changes the mode goes through :meth:`Life._follow`, by the one t
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
 from typing import Final
@@ -19,7 +20,7 @@ from .speaker import MUTE, Speaker
 SILENT: Final = (Mode.BOOT, Mode.OFF)
 
 
-class Life:
+class Life(ABC):
     """What lives: it has power or not, boots, and has a mode.
 
     A subclass says in ``_power_came``, ``_power_went``, ``_begin``, ``_booted``, ``_come_to_rest`` and
@@ -55,29 +56,29 @@ class Life:
 
     # -- what a subclass does
 
+    @abstractmethod
     def _power_came(self) -> None:
         """Power is there: in BOOT already, nothing is told yet."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _power_went(self) -> None:
         """Power has gone: nothing of it runs any more."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _begin(self, cause: ResetCause) -> None:
         """A boot begins; the start was told. What the life before has left is void."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _booted(self, fault: FaultCause | None) -> None:
         """The boot is over; ``fault``: what was found meanwhile."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _come_to_rest(self) -> None:
         """It goes down: what runs is given up, so that every command that was taken has its end."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _fall_still(self) -> None:
         """It hangs: nothing runs, nothing is told."""
-        raise NotImplementedError
 
     # -- power and life
 
