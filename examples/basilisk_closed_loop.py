@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import importlib.util
 import itertools
 import math
 import sys
@@ -314,9 +315,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--plot", metavar="FILE", type=Path, help="draw error and rate over time (PNG, SVG)")
     options = parser.parse_args(arguments)
     console = Console(stderr=options.json == "-")
-    try:
-        import Basilisk  # noqa: F401
-    except ImportError:
+    if importlib.util.find_spec("Basilisk") is None:
         print(
             "the package bsk is missing; it comes with pip install 'st-emulator[basilisk]'", file=sys.stderr
         )

@@ -331,7 +331,7 @@ def test_a_stalled_clients_place_is_taken_by_a_new_one_with_the_token_alone(desk
     desk.server.serve(0)
     stranger = desk.connect()
     stranger.put(b'{"do":"hello","version":1,"token":"no"}\n')
-    assert stranger.line()["error"]["kind"] == "unauthorised"  # type: ignore[index]
+    assert stranger.line()["error"]["kind"] == "unauthorised"
     second = desk.connect()
     hello = second.ask({"do": "hello", "version": 1, "token": TOKEN})
     assert hello["because"] == "the client has been silent for 30 s"

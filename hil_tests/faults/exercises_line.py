@@ -6,7 +6,8 @@ import struct
 from itertools import pairwise
 
 from hil_tests.faults.exercise import MS, Exercise, Seen
-from hil_tests.unit.conftest import EVENT, Bench
+from hil_tests.unit.conftest import Bench
+from hil_tests.vectors.received import EVENT
 from hil_tests.vectors.reference_decoder import crc16
 
 IN_3_S = 12  # attitude reports of 4 Hz

@@ -6,7 +6,8 @@ import math
 from typing import Any
 
 from hil_tests.faults.exercise import Exercise, Seen
-from hil_tests.unit.conftest import EVENT, MODE, Bench
+from hil_tests.unit.conftest import MODE, Bench
+from hil_tests.vectors.received import EVENT
 
 # bits of the reasons in an attitude report, from the interface document
 TOO_FEW_STARS, NO_MATCH, BLINDED, RATE_TOO_HIGH, FRAME_DROPPED = 0x1, 0x2, 0x4, 0x8, 0x40

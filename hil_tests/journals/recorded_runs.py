@@ -13,8 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hil_tests.unit.conftest import EVENT, PARAMETER, WIDE, Bench, make, make_can
+from hil_tests.unit.conftest import PARAMETER, WIDE, Bench, make, make_can
 from hil_tests.vectors import reference_decoder as wire
+from hil_tests.vectors.received import EVENT
 from hil_tests.vectors.reference_can import error_record, record, remote_record
 from st_emulator.bench.scenario import InertialTrajectory, Scenario, parse_scenario
 from st_emulator.device.store import StoreContents, VolatileStore

@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
+from hil_tests.vectors.received import EVENT
 from hil_tests.vectors.reference_can import error_record, record, remote_record
 from st_emulator.wire.can.wiring import CanWiring
 
-from .conftest import EVENT, MODE, CanBench, make_can
+from .conftest import MODE, CanBench, make_can
 
 FRAMES, TOGETHER = 100_000, 20
 #: The bus carries TOGETHER frames, and what the unit says meanwhile, in this time.

@@ -7,11 +7,12 @@ from typing import Any
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
+from hil_tests.vectors.received import EVENT
 from st_emulator.bench.scenario import parse_scenario
 from st_emulator.protocol.pus.registry import REGISTRY
 from st_emulator.wire.can.wiring import CanWiring
 
-from .conftest import EVENT, FUNCTION, WIDE, Bench, CanBench, make, make_can
+from .conftest import FUNCTION, WIDE, Bench, CanBench, make, make_can
 from .test_verification import EXAMPLES
 
 Q = {"q_x": 0.0, "q_y": 0.0, "q_z": 0.0, "q_w": 1.0}

@@ -3,8 +3,9 @@
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
+from hil_tests.vectors.received import EVENT
 
-from .conftest import EVENT, MS, Bench, MakeBench
+from .conftest import MS, Bench, MakeBench
 
 
 def sent_ns(bench: Bench, structure: int) -> list[int]:

@@ -15,9 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hil_tests.vectors import reference_decoder as wire
+from hil_tests.vectors.received import EVENT
 from st_emulator.firmware_model.causes import FaultCause, ResetCause
 
-from .conftest import EVENT, FUNCTION, MODE, Bench, Packet, make
+from .conftest import FUNCTION, MODE, Bench, Packet, make
 from .test_faults_in_operation import Dead, with_sensor
 from .test_life import damaged
 

@@ -12,49 +12,19 @@ carries them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
+from hil_tests.vectors.received import FUNCTION, Packet, Received
 
 SOURCE = 0x2A
 STATUS, LINK = 1, 2
-VERIFICATION = {
-    "acceptance_success", "acceptance_failure", "start_success", "start_failure", "progress",
-    "progress_failure", "completion_success", "completion_failure", "routing_failure",
-}  # fmt: skip
-FUNCTION = {
-    "GO_STANDBY": 1, "START_ACQUISITION": 2, "START_SELF_TEST": 3, "RESET": 4, "CAPTURE_IMAGE": 5,
-    "DOWNLOAD_IMAGE": 6, "ABORT_DOWNLOAD": 7, "SHUTDOWN": 8, "CLEAR_COUNTERS": 9,
-    "RESTORE_DEFAULT_PARAMETERS": 10, "TRACK_FROM": 11,
-}  # fmt: skip
-EVENT = {
-    "BOOT_COMPLETED": 1, "MODE_CHANGED": 2, "SELF_TEST_COMPLETED": 3, "TRACKING_LOST": 6,
-    "ATTITUDE_ACQUIRED": 7, "TC_CRC_FAILED": 8, "TC_MALFORMED": 9, "TC_SEQUENCE_GAP_DETECTED": 10,
-    "TIME_SET": 12, "PARAMETERS_STORED": 17, "SHUTDOWN_STARTED": 18,
-}  # fmt: skip
 BOOT, SELF_TEST, STANDBY, LOST_IN_SPACE, TRACKING, FAULT, OFF = range(7)
 
 
-@dataclass(frozen=True)
-class Packet:
-    """A telemetry packet and when it came, by the OBC's time."""
-
-    t_ns: int
-    decoded: dict[str, Any]
-
-    @property
-    def name(self) -> str:
-        return self.decoded["name"]
-
-    @property
-    def fields(self) -> dict[str, Any]:
-        return self.decoded["fields"]
-
-
-class Wire:
+class Wire(Received):
     """An OBC with a source identity and sequence counts of its own."""
 
     def __init__(self, obc: Any, bench: Any, star_tracker: Any) -> None:
@@ -104,34 +74,6 @@ class Wire:
         """What has come so far counts no more."""
         _ = self.packets
         self._packets = []
-
-    def of(self, name: str) -> list[dict[str, Any]]:
-        """The fields of all packets of a message."""
-        return [packet.fields for packet in self.packets if packet.name == name]
-
-    def events(self, name: str) -> list[dict[str, Any]]:
-        """The data of all events of a kind."""
-        return [
-            packet.fields["data"]
-            for packet in self.packets
-            if packet.decoded["service"] == 5 and packet.fields.get("event_id") == EVENT[name]
-        ]
-
-    def reports(self, count: int) -> list[Packet]:
-        """The verification reports of one telecommand."""
-        return [
-            packet
-            for packet in self.packets
-            if packet.name in VERIFICATION and packet.fields["request_id"]["sequence_count"] == count
-        ]
-
-    def stages(self, count: int) -> list[str]:
-        return [packet.name for packet in self.reports(count)]
-
-    def failure(self, count: int) -> tuple[str, int, int]:
-        """(report, code, data) of the failure of a telecommand."""
-        (report,) = [packet for packet in self.reports(count) if "failure_code" in packet.fields]
-        return report.name, report.fields["failure_code"], report.fields["failure_data"]
 
     # -- time
 

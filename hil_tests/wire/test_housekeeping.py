@@ -7,8 +7,9 @@ from itertools import pairwise
 import pytest
 
 from hil_tests.vectors import reference_decoder as wire
+from hil_tests.vectors.received import EVENT
 
-from .conftest import EVENT, LINK, STATUS, Wire
+from .conftest import LINK, STATUS, Wire
 
 
 def stamps_s(line: Wire, structure: int) -> list[float]:

@@ -77,7 +77,7 @@ _INTEGERS: Final = {
 NO_MODE: Final = 255
 
 
-class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]
+class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
     """One unit. Instances are made by the FMU's binary, with the folder of its resources."""
 
     def __init__(self, **arguments: Any) -> None:

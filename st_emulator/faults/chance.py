@@ -71,7 +71,7 @@ def _value(annotation: Any, field: FieldInfo, chance: random.Random) -> Any:
 
 def _limits(field: FieldInfo) -> tuple[float, float]:
     low, high = -UNBOUNDED, UNBOUNDED
-    for limit in field.metadata:
+    for limit in field.metadata:  # of numbers; their type says no more than that they can be compared
         if isinstance(limit, Ge):
             low = float(limit.ge)  # type: ignore[arg-type]
         elif isinstance(limit, Gt):

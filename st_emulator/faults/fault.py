@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from random import Random
-from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -249,7 +249,8 @@ class FaultKind:
     @property
     def name(self) -> str:
         """SEAM.NAME, as in a scenario's ``kind``."""
-        return str(self.settings.model_fields["kind"].annotation.__args__[0])  # type: ignore[union-attr]
+        (name,) = get_args(self.settings.model_fields["kind"].annotation)
+        return str(name)
 
     @property
     def seam(self) -> str:
