@@ -136,11 +136,14 @@ class IsoTpConnection:
         """
         return self._receiver.next_frame(now_ns) or self._sender.next_frame(now_ns)
 
-    def confirmed(self, frame: CanFrame, now_ns: int) -> list[IsoTpEvent]:
+    def confirmed(self, frame: CanFrame, now_ns: int, *, left_ns: int | None = None) -> list[IsoTpEvent]:
         """``frame``, handed over before, has left: the bus acknowledged it. One that is not awaited (any
         more) changes nothing.
+
+        ``left_ns`` is for whoever learns of it late (None: at once): no timer that ends between the two times
+        fails by this call, and what begins with the confirmation begins at ``now_ns``.
         """
-        events = self._expire(now_ns)
+        events = self._expire(now_ns if left_ns is None else left_ns)
         if frame is self._sender.handed_over or frame == self._sender.handed_over:
             event = self._sender.confirmed(now_ns)
             if event is not None:

@@ -110,6 +110,7 @@ class CanTransport:
         self._answered = False
         self._outbox: deque[Outgoing] = deque()
         self._retry_ns: int | None = None
+        self._offered_ns = 0
         if identifiers is not None:
             self._choose(identifiers)
 
@@ -141,6 +142,7 @@ class CanTransport:
         self._collect(now_ns)
         if not self._outbox or (self._retry_ns is not None and now_ns < self._retry_ns):
             return b""
+        self._offered_ns = now_ns
         return self._outbox[0].left
 
     def written(self, count: int, now_ns: int) -> Sequence[TransportEvent]:
@@ -158,7 +160,9 @@ class CanTransport:
         head.taken_ns = now_ns
         events: list[TransportEvent] = [CanFrameSeen(head.frame, True, now_ns)]
         if head.deadline_ns is None and self._connection is not None:
-            self._translate(self._connection.confirmed(head.frame, now_ns), events)
+            # Where the computer held us up in between, the frame was on the bus all the same.
+            left_ns = min(self._offered_ns, now_ns)
+            self._translate(self._connection.confirmed(head.frame, now_ns, left_ns=left_ns), events)
         return events
 
     def withdraw(self, packet: bytes) -> str:
