@@ -230,6 +230,19 @@ class LockstepClient:
         unit: dict[str, Any] = self.ask("truth")["unit"]
         return unit
 
+    def truth_of_frame(self, frame_index: int) -> dict[str, Any]:
+        """Time, true attitude and rate in the middle of a frame's exposure."""
+        frame: dict[str, Any] = self.ask("truth", frame=frame_index)["frame"]
+        return frame
+
+    def power(self, on: bool) -> None:
+        """Let power come on, or cut it."""
+        self.ask("power", on=on)
+
+    def flush(self) -> None:
+        """Let the unit write out what its journal and truth file hold back."""
+        self.ask("flush")
+
     def counters(self) -> dict[str, int]:
         """A snapshot of what is counted."""
         counters: dict[str, int] = self.ask("counters")["counters"]

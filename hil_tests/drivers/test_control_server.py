@@ -448,3 +448,31 @@ def fuzz(lines: int, seed: int) -> int:
 
 def test_lines_at_random_are_answered_one_by_one():
     assert fuzz(3000, seed=5) > 2900
+
+
+def test_power_is_cut_and_comes_back(desk):
+    end = desk.client()
+    end.ask({"do": "step_to", "t_ns": 1000 * MS})
+    assert end.refused({"do": "power", "on": 1})[0] == "argument"
+    assert end.refused({"do": "power"})[0] == "argument"
+    assert end.ask({"do": "power", "on": False})["ok"]
+    assert end.ask({"do": "state"})["mode"] == "OFF"
+    end.ask({"do": "step_to", "t_ns": 2000 * MS})
+    assert end.ask({"do": "power", "on": True})["ok"]
+    assert end.ask({"do": "state"})["mode"] == "BOOT"
+    unit = end.ask({"do": "truth"})["unit"]
+    assert (unit["powered"], unit["mode"]) == (True, "BOOT")
+
+
+def test_the_truth_of_a_frame_is_that_of_its_mid_exposure():
+    desk = Desk(trajectory=None, scenario=Scenario(parameters={"autonomous_start": 1}))
+    end = desk.client()
+    end.ask({"do": "step_to", "t_ns": 3000 * MS})
+    last = end.ask({"do": "truth"})["unit"]["last_frame"]
+    frame = end.ask({"do": "truth", "frame": last["frame_index"]})["frame"]
+    assert frame["time_ns"] == last["exposure_mid_ns"]
+    assert frame["q_icrs_to_sensor"] == last["q_true_icrs_to_sensor"]
+    assert end.ask({"do": "truth", "frame": "now"})["frame"]["time_ns"] == 3000 * MS
+    for wrong in (10**6, -1, "then", 1.5, None):
+        assert end.refused({"do": "truth", "frame": wrong})[0] == "argument"
+    desk.close()

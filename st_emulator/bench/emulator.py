@@ -39,6 +39,7 @@ from ..world.recorded import RecordedFrames
 from ..world.sampled import BeyondTruthError, SampledTrajectory, TruthSample
 from ..world.scene import RenderedFrame, SceneRenderer
 from ..world.trajectory import Trajectory
+from .frame_times import FrameTimes
 from .journal import JournalWriter, TextSink
 from .scenario import Scenario
 from .scenario_inputs import parameters_of, telecommands_of
@@ -142,6 +143,8 @@ class Emulator:
         self._pace_reception = pace_reception
         self._disturbance = disturbance
         self.clock = VirtualClock()
+        self.frame_times = FrameTimes()
+        self._on_completed = on_completed
         self._came_in = (0, 0)  # time and actions until then of what came from outside last
         self._external_transmit = transmit
         self._hold = hold
@@ -168,7 +171,7 @@ class Emulator:
             self._store,
             submit=submit if trajectory is None else Lazy,  # nothing asks before the exposure is over
             on_frame=self._frame_exposed,
-            on_completed=on_completed,
+            on_completed=self._frame_completed,
             seams=self._seams,
         )
         self._truth = truth
@@ -360,6 +363,10 @@ class Emulator:
             exposure = Exposure(record, self._exposed.frame_exposed)
             self._exposures.append(exposure)
             self.clock.at(exposure.end_ns, self._exposures_over)
+
+    def _frame_completed(self, record: FrameRecord) -> None:
+        self.frame_times.completed(record)
+        self._on_completed(record)
 
     def _exposures_over(self) -> None:
         """What the frames have seen is fixed now, and goes into the truth file in the order of their starts.

@@ -1,49 +1,19 @@
 """What stands beside a unit: its true mode and attitude, its faults, its power. Never part of its wire.
 
-Tests look and reach into a unit by it, in the same process or over a descriptor
-(``drivers/supervisor_socket.py``): so what goes in and comes out are numbers, texts, lists and dictionaries
+Tests and simulators look and reach into a unit by it, in the same process or over a socket
+(``drivers/lockstep_requests.py``): so what goes in and comes out are numbers, texts, lists and dictionaries
 alone.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Protocol
 
-from ..device.imaging import FrameRecord
 from ..errors import ConfigurationError
 from ..firmware_model.modes import Mode
 from ..world import quaternion
 from .emulator import Emulator
-
-KEPT_FRAMES = 4096  # the truth of seventeen minutes at 4 Hz can be asked for
-
-
-class FrameTimes:
-    """When the processed frames were exposed; give :meth:`completed` to the emulator as ``on_completed``."""
-
-    def __init__(self) -> None:
-        self._middle_ns: OrderedDict[int, int] = OrderedDict()
-
-    def completed(self, record: FrameRecord) -> None:
-        """A frame's result counts from now on."""
-        self._middle_ns[record.index] = record.mid_exposure_ns
-        self._middle_ns.move_to_end(record.index)
-        if len(self._middle_ns) > KEPT_FRAMES:
-            self._middle_ns.popitem(last=False)
-
-    def middle_ns(self, frame_index: int) -> int:
-        """Virtual time of the middle of the exposure.
-
-        Raises:
-            ConfigurationError: the unit has not processed such a frame, or that is long ago.
-        """
-        if frame_index not in self._middle_ns:
-            last = next(reversed(self._middle_ns), None)
-            there = "it has processed none" if last is None else f"the last was {last}"
-            raise ConfigurationError(f"frame {frame_index}: is none that the unit has processed; {there}")
-        return self._middle_ns[frame_index]
 
 
 class Supervised(Protocol):
@@ -67,11 +37,8 @@ class Supervised(Protocol):
     def active(self) -> list[dict[str, Any]]:
         """The faults that act now: number, kind and what differs from the defaults."""
 
-    def power_on(self) -> None:
-        """Let power come on."""
-
-    def power_off(self) -> None:
-        """Cut the power."""
+    def power(self, on: bool) -> None:
+        """Let power come on, or cut it."""
 
     def flush(self) -> None:
         """Write out what its journal holds back."""
@@ -80,9 +47,8 @@ class Supervised(Protocol):
 class Supervision:
     """A unit in this process."""
 
-    def __init__(self, emulator: Emulator, times: FrameTimes) -> None:
+    def __init__(self, emulator: Emulator) -> None:
         self.emulator = emulator
-        self._times = times
 
     def now_ns(self) -> int:
         """How long it has lived."""
@@ -100,7 +66,9 @@ class Supervision:
         """
         if self.emulator.scene is None:
             raise ConfigurationError("truth: the unit looks at recorded frames; allowed is a rendered sky")
-        at_ns = self.emulator.now_ns if frame_index is None else self._times.middle_ns(frame_index)
+        at_ns = (
+            self.emulator.now_ns if frame_index is None else self.emulator.frame_times.middle_ns(frame_index)
+        )
         trajectory = self.emulator.scene.trajectory
         q = trajectory.q_icrs_to_sensor(at_ns)
         ra_deg, dec_deg, roll_deg = quaternion.pointing_from_quaternion(q)
@@ -125,33 +93,13 @@ class Supervision:
         """The faults that act now."""
         return [
             {"number": one.number, **one.settings.model_dump(mode="json", exclude_defaults=True)}
-            | {"kind": one.settings.kind}
             for one in self.emulator.faults.active()
         ]
 
-    def power_on(self) -> None:
-        """Let power come on."""
-        self.emulator.power(True)
-
-    def power_off(self) -> None:
-        """Cut the power: what waits is lost, nothing is told."""
-        self.emulator.power(False)
+    def power(self, on: bool) -> None:
+        """Let power come on, or cut it: what waits is lost, nothing is told."""
+        self.emulator.power(on)
 
     def flush(self) -> None:
         """Write out what its journal holds back."""
         self.emulator.flush()
-
-
-def answers_of(unit: Supervised) -> dict[str, Callable[..., Any]]:
-    """What can be asked over a descriptor: by name, with the arguments by name."""
-    return {
-        "now_ns": unit.now_ns,
-        "mode": unit.mode,
-        "truth": unit.truth,
-        "inject": unit.inject,
-        "clear": unit.clear,
-        "active": unit.active,
-        "power_on": unit.power_on,
-        "power_off": unit.power_off,
-        "flush": unit.flush,
-    }

@@ -18,12 +18,13 @@ from rich.markup import escape
 from ..bench.emulator import Emulator
 from ..bench.scenario import Scenario, load_scenario
 from ..bench.scenario_inputs import check_inputs
-from ..bench.supervision import FrameTimes, Supervision, answers_of
 from ..bench.trajectory_file import truth_ends_ns, with_content
 from ..clock import NS_PER_S
 from ..device.imaging import Lazy
 from ..device.store import FileStore, Store, VolatileStore
 from ..dialects.registry import dialect_of, require_wire, with_dialect
+from ..drivers.lockstep import Lockstep
+from ..drivers.lockstep_requests import Requests
 from ..drivers.realtime import FrameWorker, StopSignal, run_lockstep, run_paced, run_unpaced
 from ..drivers.supervisor_socket import SupervisorSocket
 from ..errors import ConfigurationError
@@ -286,10 +287,10 @@ def run_unit(options: RunOptions) -> None:
         request = None
         if supervisor is not None:
             supervisor.ready(link=link.name, pid=os.getpid())
-            request = supervisor.await_first("begin")
+            request = supervisor.await_begin()
             if request is None:
                 return
-        if request is not None and (given := request.get("with", {}).get("scenario")) is not None:
+        if request is not None and (given := request.get("scenario")) is not None:
             now = {"start_utc": datetime.now(UTC).isoformat()}  # its OBC keeps the computer's time
             scenario = validate(Scenario, now | given, "--supervisor: scenario")
         elif options.scenario is None:
@@ -303,7 +304,6 @@ def run_unit(options: RunOptions) -> None:
             written = link.write(data)
             return None if specification.kind == "none" else written  # without a link nothing is refused
 
-        times = FrameTimes()
         emulator = Emulator(
             profile,
             scenario,
@@ -319,11 +319,9 @@ def run_unit(options: RunOptions) -> None:
             baud=specification.baud,
             can=wiring_of(profile, specification, link, options.node),
             trajectory=SampledTrajectory() if options.attitude == "outside" else None,
-            on_completed=times.completed,
         )
         if supervisor is not None and request is not None:
-            supervisor.serve(answers_of(Supervision(emulator, times)))
-            supervisor.answer(request)
+            supervisor.serve(Requests(Lockstep(emulator, link if live else None), steps=False), request)
         until_ns = plan.until_ns
         control = None
         if plan.control is not None and token is not None:

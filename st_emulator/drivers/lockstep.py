@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from ..bench.emulator import Emulator
 from ..bench.scenario import Scenario
+from ..bench.supervision import Supervision
 from ..device.imaging import FrameRecord
 from ..firmware_model.modes import Mode
 from ..firmware_model.reasons import Reason
@@ -100,6 +101,7 @@ class Lockstep:
 
     def __init__(self, emulator: Emulator, link: Link | None = None) -> None:
         self.emulator = emulator
+        self.supervision = Supervision(emulator)
         self.paused_because: str | None = None
         self.bytes_sent = 0
         self.bytes_received = 0
@@ -274,18 +276,19 @@ class Lockstep:
         """Put a fault in, as a table of a scenario's ``[[faults]]``; its number. ConfigurationError: it
         does not fit.
         """
-        return self.emulator.faults.inject(fault)
+        return self.supervision.inject(fault)
 
     def clear(self, number: int) -> None:
         """End a fault. Raises ConfigurationError for a number that there is not."""
-        self.emulator.faults.clear(number)
+        self.supervision.clear(number)
 
     def active_faults(self) -> list[dict[str, Any]]:
         """The faults in force: ``number`` and the settings, as in a scenario."""
-        return [
-            {"number": one.number, **one.settings.model_dump(mode="json", exclude_defaults=True)}
-            for one in self.emulator.faults.active()
-        ]
+        return self.supervision.active()
+
+    def power(self, on: bool) -> None:
+        """Let power come on, or cut it: what waits is lost, nothing is told."""
+        self.supervision.power(on)
 
     # -- what is true
 
@@ -309,6 +312,15 @@ class Lockstep:
             rate_rad_s=rate,
             last_frame=None if device.last_frame is None else self._last_frame(device.last_frame),
         )
+
+    def truth_of_frame(self, frame_index: int) -> dict[str, Any]:
+        """Time, true attitude and rate in the middle of a frame's exposure, as `Supervision.truth`.
+
+        Raises:
+            ConfigurationError: the unit has not processed such a frame, or that is long ago.
+            BeyondTruthError: the truth of then is not known any more.
+        """
+        return self.supervision.truth(frame_index)
 
     def _last_frame(self, record: FrameRecord) -> LastFrame:
         result = record.result

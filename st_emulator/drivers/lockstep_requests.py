@@ -40,6 +40,7 @@ class Requests:
         lockstep = self.lockstep
         return {
             "now_ns": lockstep.now_ns,
+            "mode": lockstep.supervision.mode(),
             "time": "lockstep" if self.steps else "paced",
             "paused": lockstep.paused_because is not None,
             "because": lockstep.paused_because,
@@ -163,7 +164,24 @@ class Requests:
         }
 
     def _truth(self, arguments: Message) -> Message:
-        return {"unit": self.lockstep.truth().as_dict()}
+        if "frame" not in arguments:
+            return {"unit": self.lockstep.truth().as_dict()}
+        index = None if arguments["frame"] == "now" else _whole(arguments, "frame")
+        try:
+            return {"frame": self.lockstep.supervision.truth(index)}
+        except ConfigurationError as error:
+            raise LineError("argument", str(error)) from error
+
+    def _power(self, arguments: Message) -> Message:
+        on = arguments.get("on")
+        if not isinstance(on, bool):
+            raise LineError("argument", f"on: found {on!r:.60}; allowed are true and false")
+        self.lockstep.power(on)
+        return {}
+
+    def _flush(self, arguments: Message) -> Message:
+        self.lockstep.supervision.flush()
+        return {}
 
     def _counters(self, arguments: Message) -> Message:
         return {"counters": self.lockstep.counters()}
@@ -215,11 +233,13 @@ REQUESTS: Final[dict[str, Request]] = {
     "resume": Request(Requests._resume, of_time=True),
     "receive": Request(Requests._receive, "hex", of_time=True),
     "take": Request(Requests._take, of_time=True),
-    "truth": Request(Requests._truth),
+    "truth": Request(Requests._truth, "frame"),
     "counters": Request(Requests._counters),
     "inject": Request(Requests._inject, "fault"),
     "clear": Request(Requests._clear, "number"),
     "faults": Request(Requests._faults),
+    "power": Request(Requests._power, "on"),
+    "flush": Request(Requests._flush),
 }
 
 

@@ -1,28 +1,27 @@
 """A descriptor that stands beside a running unit, for the program that started it (``run --supervisor FD``).
 
-Lines of JSON on one end of a socket pair. The unit says ``{"ready": {"link": ...}}`` when everything is
-loaded and the link is open, and waits for ``begin``, at which power comes on. What it is asked,
-``{"id": 1, "do": "begin", "with": {...}}``, it answers: ``{"id": 1, "result": ...}`` or ``{"id": 1, "error":
-"one line"}``. When the other end closes, as it does when who holds it dies, the unit stops as on SIGTERM:
-nothing is left behind.
+It is the control protocol of docs/lockstep.md on one end of a socket pair, without ``hello``, token and
+``bye``: who holds the other end may ask. The unit says ``{"ready": {"link": ...}}`` when everything is loaded
+and the link is open, and waits for ``{"id": 1, "do": "begin", "scenario": {...}}``, at which power comes on.
+When the other end closes, as it does when who holds it dies, the unit stops as on SIGTERM: nothing is left
+behind.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
 import socket
 import threading
-from collections.abc import Callable, Mapping
 from queue import SimpleQueue
 from typing import Any
 
 from ..errors import ConfigurationError
+from .lockstep_requests import Requests
+from .lockstep_wire import LineError, decoded, encoded
 
-Request = dict[str, Any]
-Answering = Callable[..., Any]
+Message = dict[str, Any]
 
 
 class SupervisorSocket:
@@ -40,8 +39,8 @@ class SupervisorSocket:
             raise ConfigurationError(
                 f"--supervisor {descriptor}: {error.strerror}; allowed is the descriptor of a socket"
             ) from error
-        self._requests: SimpleQueue[Request | None] = SimpleQueue()
-        self._answers: Mapping[str, Answering] = {}
+        self._lines: SimpleQueue[bytes | None] = SimpleQueue()
+        self._requests: Requests | None = None
         self._wake_read, self._wake_write = socket.socketpair()
         self._wake_read.setblocking(False)
         self._closed = False
@@ -55,23 +54,25 @@ class SupervisorSocket:
         """Say that all is there."""
         self._say({"ready": what})
 
-    def await_first(self, name: str) -> Request | None:
-        """Wait until ``name`` is asked, and refuse all else; None: the other end has closed. To be answered
-        with :meth:`answer`.
+    def await_begin(self) -> Message | None:
+        """Wait until ``begin`` is asked, and refuse all else; None: the other end has closed. It is answered
+        by :meth:`serve`.
         """
-        while (request := self._requests.get()) is not None:
-            if request.get("do") == name:
-                return request
-            self._say({"id": request.get("id"), "error": f"{request.get('do')}: {name} must come first"})
+        while (line := self._lines.get()) is not None:
+            message: Message = {}
+            try:
+                message = decoded(line)
+                if message.get("do") == "begin":
+                    return message
+                raise LineError("refused", f"{message.get('do')!r:.60}: begin must come first")
+            except LineError as error:
+                self._refuse(message, error)
         return None
 
-    def answer(self, request: Request, result: Any = None) -> None:
-        """What was asked is done."""
-        self._say({"id": request.get("id"), "result": result})
-
-    def serve(self, answers: Mapping[str, Answering]) -> None:
-        """From now on answer by these functions, called with what stands under ``with``."""
-        self._answers = answers
+    def serve(self, requests: Requests, begin: Message) -> None:
+        """The unit has begun: from now on these are served."""
+        self._requests = requests
+        self._say({"id": begin.get("id"), "ok": True, **requests.state()})
 
     def attend(self) -> None:
         """Answer what has been asked."""
@@ -79,11 +80,11 @@ class SupervisorSocket:
             self._wake_read.recv(4096)
         except BlockingIOError:
             return
-        while not self._requests.empty():
-            request = self._requests.get()
-            if request is None:
+        while not self._lines.empty():
+            line = self._lines.get()
+            if line is None:
                 return
-            self._say({"id": request.get("id"), **self._answered(request)})
+            self._answer(line)
 
     def close(self) -> None:
         """Close all ends of ours."""
@@ -93,25 +94,28 @@ class SupervisorSocket:
         for end in (self._socket, self._wake_read, self._wake_write):
             end.close()
 
-    def _answered(self, request: Request) -> dict[str, Any]:
-        answering = self._answers.get(str(request.get("do")))
-        if answering is None:
-            return {"error": f"{request.get('do')}: unknown; allowed are {', '.join(self._answers)}"}
+    def _answer(self, line: bytes) -> None:
+        assert self._requests is not None
+        message: Message = {}
         try:
-            return {"result": answering(**request.get("with", {}))}
-        except (ConfigurationError, TypeError, ValueError) as error:
-            return {"error": str(error)}
+            message = decoded(line)
+            self._say({"id": message.get("id"), "ok": True, **self._requests.answer(message)})
+        except LineError as error:
+            self._refuse(message, error)
 
-    def _say(self, message: Mapping[str, Any]) -> None:
+    def _refuse(self, message: Message, error: LineError) -> None:
+        told = {"kind": error.kind, "text": str(error)}
+        self._say({"id": message.get("id"), "ok": False, "error": told})
+
+    def _say(self, message: Message) -> None:
         with contextlib.suppress(OSError):  # the other end has closed; the reading thread sees it
-            self._socket.sendall(json.dumps(message).encode() + b"\n")
+            self._socket.sendall(encoded(message))
 
     def _read(self) -> None:
-        # Closed, or no JSON: whoever it is does not speak this.
-        with contextlib.suppress(OSError, ValueError), self._socket.makefile("rb") as lines:
+        with contextlib.suppress(OSError), self._socket.makefile("rb") as lines:
             for line in lines:
-                self._requests.put(json.loads(line))
+                self._lines.put(line)
                 self._wake_write.send(b"x")
-        self._requests.put(None)
+        self._lines.put(None)
         if not self._closed:
             os.kill(os.getpid(), signal.SIGTERM)

@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..drivers.lockstep_wire import encoded
 from ..errors import ConfigurationError
 from ..links import Link, LinkError, open_link
 from ..obc import Obc
@@ -77,8 +78,8 @@ def close_server() -> None:
 
 
 class UnitProcess:
-    """A unit as ``st-emulator run --supervisor`` runs it, in a process of its own: asked by lines of JSON.
-    One thread may ask at a time. ``options`` are those of the command.
+    """A unit as ``st-emulator run --supervisor`` runs it, in a process of its own: asked as docs/lockstep.md
+    says. One thread may ask at a time. ``options`` are those of the command.
 
     Raises:
         UnitDiedError: it has ended; the message says what it said.
@@ -106,24 +107,23 @@ class UnitProcess:
         """Return when all is loaded and the link is open."""
         self.pid = int(self._next()["ready"]["pid"])
 
-    def ask(self, what: str, **arguments: Any) -> Any:
+    def ask(self, what: str, **arguments: Any) -> dict[str, Any]:
         """What it answers.
 
         Raises:
             ConfigurationError: it refused; one line says why.
         """
         number = next(self._ids)
-        request = {"id": number, "do": what, "with": arguments}
         try:
-            self._socket.sendall(json.dumps(request).encode() + b"\n")
+            self._socket.sendall(encoded({"id": number, "do": what, **arguments}))
         except OSError:
             self.check()
             raise
         while (answer := self._next()).get("id") != number:
             pass
-        if "error" in answer:
-            raise ConfigurationError(answer["error"])
-        return answer["result"]
+        if not answer["ok"]:
+            raise ConfigurationError(answer["error"]["text"])
+        return answer
 
     def check(self) -> None:
         """See that it is alive: its standard error is open for as long as it is."""
@@ -161,35 +161,33 @@ class _Asked:
     """Supervision over the descriptor."""
 
     def __init__(self, process: UnitProcess) -> None:
-        self._process = process
+        self._ask = process.ask
 
     def now_ns(self) -> int:
-        return int(self._process.ask("now_ns"))
+        return int(self._ask("state")["now_ns"])
 
     def mode(self) -> str:
-        return str(self._process.ask("mode"))
+        return str(self._ask("state")["mode"])
 
     def truth(self, frame_index: int | None) -> dict[str, Any]:
-        found: dict[str, Any] = self._process.ask("truth", frame_index=frame_index)
-        return found
+        if frame_index is not None:
+            return dict(self._ask("truth", frame=frame_index)["frame"])
+        return dict(self._ask("truth", frame="now")["frame"])
 
     def inject(self, fault: Mapping[str, Any]) -> int:
-        return int(self._process.ask("inject", fault=dict(fault)))
+        return int(self._ask("inject", fault=dict(fault))["number"])
 
     def clear(self, number: int) -> None:
-        self._process.ask("clear", number=number)
+        self._ask("clear", number=number)
 
-    def active(self) -> list[Any]:
-        return list(self._process.ask("active"))
+    def active(self) -> list[dict[str, Any]]:
+        return list(self._ask("faults")["faults"])
 
-    def power_on(self) -> None:
-        self._process.ask("power_on")
-
-    def power_off(self) -> None:
-        self._process.ask("power_off")
+    def power(self, on: bool) -> None:
+        self._ask("power", on=on)
 
     def flush(self) -> None:
-        self._process.ask("flush")
+        self._ask("flush")
 
 
 class ClaimedNode:
@@ -279,7 +277,7 @@ class SpawnedStarTracker(StarTracker):
     def power_on(self) -> None:
         """Let power come on; it boots."""
         if self._begun:
-            self.supervised.power_on()
+            self.supervised.power(True)
             return
         table = None
         if self._scenario is not None:
@@ -297,7 +295,7 @@ class SpawnedStarTracker(StarTracker):
     def power_off(self) -> None:
         """Cut the power: it falls silent at once."""
         if self._begun:
-            self.supervised.power_off()
+            self.supervised.power(False)
 
     def close(self) -> None:
         """Its process ends, its link goes."""

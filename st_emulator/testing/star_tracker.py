@@ -137,11 +137,11 @@ class StarTracker(ABC):
 
     def power_on(self) -> None:
         """Let power come on; it boots."""
-        self.supervised.power_on()
+        self.supervised.power(True)
 
     def power_off(self) -> None:
         """Cut the power: it falls silent at once."""
-        self.supervised.power_off()
+        self.supervised.power(False)
 
     @property
     def obc(self) -> Obc:
@@ -213,10 +213,7 @@ class _NotThere:
     def active(self) -> list[Any]:
         leave_out("a fault")
 
-    def power_on(self) -> None:
-        leave_out("a power switch")
-
-    def power_off(self) -> None:
+    def power(self, on: bool) -> None:
         leave_out("a power switch")
 
     def flush(self) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ..bench.emulator import Emulator
 from ..bench.joined import can_transport_of
 from ..bench.scenario import Scenario
-from ..bench.supervision import FrameTimes, Supervision
+from ..bench.supervision import Supervision
 from ..compiled_kernels import keep_compiled_kernels
 from ..links import Link, LinkError, memory_link_pair
 from ..obc import Obc, SlipTransport, Transport
@@ -120,14 +120,13 @@ class VirtualStarTracker(StarTracker):
     def power_on(self) -> None:
         """Let power come on; it boots."""
         if self._emulator is not None:
-            self.supervised.power_on()
+            self.supervised.power(True)
             return
         keep_compiled_kernels()
         journal = None
         if self.journal is not None:
             self.journal.parent.mkdir(parents=True, exist_ok=True)
             journal = self._stack.enter_context(self.journal.open("w", encoding="utf-8", newline="\n"))
-        times = FrameTimes()
         self._origin_ns = self._clock.now_ns
         self._emulator = Emulator(
             self.profile,
@@ -135,15 +134,14 @@ class VirtualStarTracker(StarTracker):
             can=self._wiring,
             transmit=self._transmitted,
             journal=journal,
-            on_completed=times.completed,
             **self._arguments,
         )
-        self.supervised = Supervision(self._emulator, times)
+        self.supervised = Supervision(self._emulator)
 
     def power_off(self) -> None:
         """Cut the power: it falls silent at once."""
         if self._emulator is not None:
-            self.supervised.power_off()
+            self.supervised.power(False)
 
     def close(self) -> None:
         """Its journal gets its end mark."""

@@ -174,7 +174,9 @@ class Soak:
         return not self._stop() and self.emulator.now_ns + round(needs_s * NS_PER_S) < self.end_ns
 
     def _tracks(self) -> bool:
-        return self.emulator.device.mode == Mode.TRACKING
+        """Whether it tracks and can be spoken to: one that hangs tracks no more, whatever its mode was."""
+        device = self.emulator.device
+        return device.mode == Mode.TRACKING and device.listening
 
     def _to_between_frames(self) -> None:
         """To where no frame is on its way."""
