@@ -27,9 +27,10 @@ NO_RECTS: IntArray = np.zeros((0, 4), np.int32)
 class FrameContext:
     """What the firmware knows about a frame besides its pixels.
 
-    acquisition: LOST_IN_SPACE or TRACKING, how the frame is to be searched.
-    t_mid_ns: mid-exposure, ns since power-on; exposure_ns; tai_ns: on-board time of mid-exposure (TAI, ns
+    acquisition: LOST_IN_SPACE, TRACKING or RATE_ONLY, how the frame is to be searched.
+    t_mid_ns: mid-exposure, ns since power-on (of a rolling shutter that of the middle row); exposure_ns; tai_ns: on-board time of mid-exposure (TAI, ns
         since 1958-01-01), None while the time is not set.
+    row_time_s: a rolling shutter's row begins its exposure so much after the row before; 0: a global shutter.
     """
 
     frame_index: int
@@ -37,6 +38,7 @@ class FrameContext:
     t_mid_ns: int
     exposure_ns: int
     tai_ns: int | None = None
+    row_time_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ class FrameResult:
     valid, reasons: reasons is NONE when valid. q_icrs_to_sensor: the frame's attitude at mid-exposure;
         where not valid the last valid one (identity before the first). covariance_rad2: of the small-angle
         error in sensor axes (zeros where not valid). rate_rad_s: of the sensor relative to ICRS, in sensor
-        axes, from this and the last valid attitude; None where unknown.
+        axes; None where unknown. rate_covariance_rad2_s2: of its error, float64[3, 3]; None where not known.
     acquisition_after: how the next frame is to be searched; event: what happened to the mode, if anything.
     false_solutions: how many attitudes chance would let fit the spots as well, over the whole sky; inf where
         not valid.
@@ -129,6 +131,7 @@ class FrameResult:
     plan: TrackingPlan | None = None
     identification: Identification | None = None
     false_solutions: float = math.inf
+    rate_covariance_rad2_s2: FloatArray | None = None
 
     @property
     def background_dn(self) -> float:

@@ -30,6 +30,7 @@ class Mode(IntEnum):
     TRACKING = 4
     FAULT = 5
     OFF = 6
+    RATE_ONLY = 7
 
 
 MODE_MEANINGS: dict[Mode, str] = {
@@ -39,6 +40,7 @@ MODE_MEANINGS: dict[Mode, str] = {
     Mode.LOST_IN_SPACE: "looking for the attitude over the whole sky, without any prior",
     Mode.TRACKING: "following the stars in detection windows from frame to frame",
     Mode.FAULT: "stopped by a fault; only a reset or a self-test leads out",
+    Mode.RATE_ONLY: "turning too fast for an attitude: the angular rate alone is measured, from frame to frame",
     Mode.OFF: "shut down; nothing is sent until power is cycled",
 }
 
@@ -62,6 +64,8 @@ class ModeEvent(IntEnum):
     TRACKING_LOST = 13
     FAULT_DETECTED = 14
     POWER_OFF = 15
+    RATE_ALONE = 16
+    SLOW_AGAIN = 17
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,7 @@ def _rows(
     return tuple(ModeTransition(mode, event, next_mode, meaning) for mode in modes)
 
 
-_ACQUIRING = (Mode.LOST_IN_SPACE, Mode.TRACKING)
+_ACQUIRING = (Mode.LOST_IN_SPACE, Mode.TRACKING, Mode.RATE_ONLY)
 _COMMANDED = (Mode.STANDBY, *_ACQUIRING)
 _POWERED = (Mode.BOOT, Mode.SELF_TEST, *_COMMANDED, Mode.FAULT)
 
@@ -105,7 +109,16 @@ TRANSITIONS: tuple[ModeTransition, ...] = (
     *_rows(
         _COMMANDED, ModeEvent.COMMAND_TRACK_FROM, Mode.TRACKING, "track from an attitude sent to the unit"
     ),
-    *_rows((Mode.LOST_IN_SPACE,), ModeEvent.ATTITUDE_ACQUIRED, Mode.TRACKING, "a valid attitude was found"),
+    *_rows(
+        (Mode.LOST_IN_SPACE, Mode.RATE_ONLY),
+        ModeEvent.ATTITUDE_ACQUIRED,
+        Mode.TRACKING,
+        "a valid attitude was found",
+    ),
+    *_rows(
+        (Mode.LOST_IN_SPACE,), ModeEvent.RATE_ALONE, Mode.RATE_ONLY, "a rate is measured, but no attitude"
+    ),
+    *_rows((Mode.RATE_ONLY,), ModeEvent.SLOW_AGAIN, Mode.LOST_IN_SPACE, "slow enough for an attitude"),
     *_rows((Mode.TRACKING,), ModeEvent.TRACKING_LOST, Mode.LOST_IN_SPACE, "too many frames without attitude"),
     *_rows(
         (Mode.BOOT, Mode.SELF_TEST, *_COMMANDED),
