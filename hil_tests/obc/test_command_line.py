@@ -19,10 +19,12 @@ from st_emulator.obc.cli import obc_app
 from st_emulator.obc.commands import COMMANDS, CommandError, parse_line
 from st_emulator.obc.session import Session
 from st_emulator.obc.shell import _Shell
-from st_emulator.obc.watching import live_table, watch
+from st_emulator.obc.watching import attitude_line, live_table, watch
 from st_emulator.units.profile import load_unit
 
 Run = Callable[..., Result]
+#: A covariance of the rate, (rad/s)^2: xx, xy, xz, yy, yz, zz.
+SIGMA_3_4_12_ARCSEC = tuple((n / 206_264.806) ** 2 for n in (3, 0, 0, 4, 0, 12))
 
 
 @pytest.fixture
@@ -443,11 +445,49 @@ def test_the_live_view_before_and_after_the_first_report(obc: Obc, unit: Any) ->
         "low: TRACKING_LOST",
     ):
         assert part in text
+    assert "y +1.00000  z +0.00000 deg/s" in text
+    assert "arcsec/s" not in text, "no more than it tells"
+    unit.attitude(
+        mode=7, valid=0, reasons=8, rate=(0.0, 0.017453292, 0.0), rate_covariance=SIGMA_3_4_12_ARCSEC
+    )
+    obc.wait(0.01)
+    text = drawn(obc)
+    assert "RATE_ONLY" in text
+    assert "not valid: RATE_TOO_HIGH" in text
+    assert "x +0.00000  y +1.00000  z +0.00000 deg/s, 1 sigma x 3.00  y 4.00  z 12.00 arcsec/s" in text
     unit.attitude(valid=0, reasons=4, rate=None, late=1)
     obc.wait(0.01)
     text = drawn(obc)
     assert "not valid: BLINDED" in text
     assert "late" in text
+
+
+def test_a_line_says_what_is_known_where_no_attitude_is(obc: Obc, unit: Any) -> None:
+    unit.attitude(valid=0, reasons=8, rate=(0.0, 0.0, 0.017453292), rate_covariance=SIGMA_3_4_12_ARCSEC)
+    unit.attitude(valid=0, reasons=8, rate=None)
+    obc.wait(0.01)
+    known, unknown = (attitude_line(attitude) for attitude in obc.attitudes())
+    assert known == (
+        f"{unknown}  rate x +0.00000  y +0.00000  z +1.00000 deg/s, 1 sigma x 3.00  y 4.00  z 12.00 arcsec/s"
+    )
+
+
+@pytest.mark.parametrize(
+    ("older", "rest"), [(False, ", 1 sigma x 3.00  y 4.00  z 12.00 arcsec/s"), (True, "")]
+)
+def test_the_command_attitude_shows_the_rate(run: Any, unit: Any, older: bool, rest: str) -> None:
+    unit.attitude(rate=(0.0, 0.0, 0.017453292), rate_covariance=SIGMA_3_4_12_ARCSEC, older=older, after_ms=1)
+    result = run(*commands("attitude"))
+    assert result.exit_code == 0
+    assert f"  rate x +0.00000  y +0.00000  z +1.00000 deg/s{rest}\n" in result.output
+
+
+def test_what_an_older_unit_does_not_tell_cannot_be_expected(run: Any, unit: Any) -> None:
+    unit.attitude(older=True, after_ms=1)
+    result = run(*commands("expect attitude.rate_covariance_xx < 1"))
+    assert result.exit_code == 1
+    said = "the unit is an older one: its attitude reports have no rate_covariance_xx"
+    assert said in result.output.replace("\n", " ")
 
 
 def test_without_a_terminal_the_view_is_a_line_per_report(obc: Obc, unit: Any) -> None:
