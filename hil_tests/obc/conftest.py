@@ -72,7 +72,7 @@ def attitude_data(
     rate_covariance: tuple[float, ...] | None = None,
     older: bool = False,
 ) -> bytes:
-    """Source data of an attitude report (130,1); ``older``: of a unit that tells no covariance of the rate."""
+    """Source data of an attitude report (130,1); ``older``: of a unit that knows no covariance of a rate."""
     behind = RATE_COVARIANCE.pack(int(rate_covariance is not None), *(rate_covariance or (0.0,) * 6))
     report = ATTITUDE.pack(
         frame, time, 1, mode, valid, reasons, *q,

@@ -255,9 +255,9 @@ def _earlier(message: MessageDefinition) -> list[str]:
         assert size is not None
         assert whole is not None
         lines += [
-            f"The packet has {whole + around} bytes. Units of an earlier edition end it behind `{name}`, with "
-            f"{size + around} bytes: fields are added at the end alone, none moves, and the length tells which "
-            "are there.",
+            f"The packet has {whole + around} bytes. Units of an earlier edition end it behind `{name}`, "
+            f"with {size + around} bytes: fields are added at the end alone, none moves, and the length "
+            "tells which are there.",
             "",
         ]
     return lines

@@ -19,9 +19,9 @@ class Attitude:
     time_ns: middle of the exposure, on-board TAI ns since 1958-01-01. q_icrs_to_sensor: float64[4], x y z w
     (scalar last), v_sensor = A(q) v_icrs. covariance_rad2: float64[3, 3] of the small-angle error in sensor
     axes. rate_rad_s: float64[3], sensor relative to ICRS in sensor axes, None when the unit says it is not
-    valid; it may be valid where the attitude is not. false_match_probability: that the stars were matched by chance, as the unit tells it; 1 where not
-    valid. rate_covariance_rad2_s2: float64[3, 3] of the rate's error, sensor axes, None when the unit says it
-    is not valid, and from a unit that does not send it.
+    valid; it may be valid where the attitude is not. rate_covariance_rad2_s2: float64[3, 3] of its error in
+    sensor axes, None when the unit says it is not valid, and from a unit that does not send it.
+    false_match_probability: that the stars were matched by chance, as the unit tells it; 1 where not valid.
     """
 
     time_ns: int

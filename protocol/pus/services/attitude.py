@@ -28,8 +28,9 @@ SERVICE = ServiceDefinition(
             "is FREE_RUNNING stellar aberration is not corrected and the attitude is off by up to 20.5 "
             "arcsec, which the covariance does not contain; the velocity about the Earth, which parameters "
             "14 to 16 give, makes up to 5 arcsec more. The report of a dropped frame may come before that "
-            "of the late frame that caused it: frame_index orders them. The rate has a validity of its own: in "
-            "mode RATE_ONLY it is all that is known. What is not valid is sent as 0.",
+            "of the late frame that caused it: frame_index orders them. The rate has a validity of its own: "
+            "in mode RATE_ONLY it is all that is known. Where the attitude is not valid the last valid one "
+            "is repeated; a covariance or rate that is not valid is sent as 0.",
             (
                 Field("frame_index", UINT32, meaning="index of the frame, from 0 at power-on"),
                 Field(
