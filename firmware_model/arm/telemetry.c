@@ -116,6 +116,9 @@ int32_t st_attitude_packet(const st_telemetry_header *header, const st_attitude_
     at = put_u8(at, report->late);
     at = put_u16(at, report->frames_dropped_before);
     at = put_f32(at, report->false_match_probability);
+    at = put_u8(at, report->rate_covariance_valid);
+    for (i = 0; i < 6; i++)
+        at = put_f32(at, report->rate_covariance_rad2_s2[i]);
     return finish(packet, at);
 }
 

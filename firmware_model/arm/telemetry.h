@@ -26,6 +26,7 @@ typedef struct {
     double q[4];
     double covariance_rad2[6]; /* xx, xy, xz, yy, yz, zz */
     double rate_rad_s[3];
+    double rate_covariance_rad2_s2[6]; /* likewise */
     double residual_rms_arcsec;
     double background_dn;
     double noise_dn;
@@ -38,6 +39,7 @@ typedef struct {
     uint32_t valid;
     uint32_t reasons;
     uint32_t rate_valid;
+    uint32_t rate_covariance_valid;
     uint32_t spots_detected;
     uint32_t stars_identified;
     uint32_t windows;

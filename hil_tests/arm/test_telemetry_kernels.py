@@ -79,6 +79,8 @@ REPORTS = st.fixed_dictionaries(
         **{f"covariance_{name}": DOUBLES for name in ("xx", "xy", "xz", "yy", "yz", "zz")},
         "rate_valid": FLAG,
         **{f"rate_{axis}": DOUBLES for axis in "xyz"},
+        "rate_covariance_valid": FLAG,
+        **{f"rate_covariance_{name}": DOUBLES for name in ("xx", "xy", "xz", "yy", "yz", "zz")},
         **dict.fromkeys(("spots_detected", "stars_identified", "windows", "window_half_width_px"), U16),
         **dict.fromkeys(("residual_rms_arcsec", "background_dn", "noise_dn"), DOUBLES),
         **dict.fromkeys(("exposure_us", "cycles", "latency_us"), U32),

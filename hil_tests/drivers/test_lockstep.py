@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil_tests.unit.tumbling import COVARIANCE, RATE_RAD_S, tumble
 from hil_tests.vectors import reference_decoder as wire
 from hil_tests.vectors.reference_can import Peer
 from st_emulator.bench.emulator import Emulator
@@ -279,6 +280,19 @@ def test_the_true_state_is_that_of_the_samples():
     assert counters["frames_processed"] == unit.emulator.device.frame_counters.frames_processed > 10
     assert counters["bytes_sent"] > 0
     json.dumps(state.as_dict(), allow_nan=False)
+
+
+def test_the_rate_of_the_last_frame_and_its_accuracy(monkeypatch):
+    tumble(monkeypatch)
+    unit = Lockstep.of(ROJA1, AUTONOMOUS)
+    stepped(unit, 250 * MS, 3 * NS_PER_S)
+    frame = unit.truth().last_frame
+    assert frame is not None
+    assert unit.truth().mode == "RATE_ONLY"
+    assert not frame.valid
+    assert frame.rate_rad_s == tuple(RATE_RAD_S)
+    assert frame.rate_covariance_rad2_s2 == tuple(COVARIANCE.ravel())
+    json.dumps(unit.truth().as_dict(), allow_nan=False)
 
 
 def test_the_obcs_bytes_on_a_link_are_taken_when_a_step_begins():

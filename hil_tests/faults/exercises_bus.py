@@ -177,7 +177,7 @@ EXERCISES: tuple[Exercise, ...] = tuple(
         ({"kind": "bus.no_acknowledge"}, no_acknowledge, ""),
         ({"kind": "bus.babbling_node", "frames_per_s": 2000}, babbling_node, ""),
         ({"kind": "bus.babbling_node", "frames_per_s": 20000}, full_bus, "on a full bus"),
-        ({"kind": "bus.frames_lost", "probability": 0.2}, frames_lost, ""),
+        ({"kind": "bus.frames_lost", "probability": 0.3}, frames_lost, ""),
         ({"kind": "bus.frames_delayed", "probability": 0.5, "delay_ms": 40}, frames_delayed, ""),
         ({"kind": "bus.stuck_dominant"}, stuck_dominant, ""),
         ({"kind": "bus.no_flow_control"}, no_flow_control, ""),

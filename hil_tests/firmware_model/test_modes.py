@@ -8,24 +8,26 @@ from st_emulator.firmware_model.modes import MODE_MEANINGS, TRANSITIONS, Mode, M
 from st_emulator.firmware_model.reasons import REASON_MEANINGS, Reason
 
 # One row an event, one column a mode: the mode after, or a dot where the event is not allowed.
-COLUMNS = ["BOOT", "SELF_TEST", "STANDBY", "LOST_IN_SPACE", "TRACKING", "FAULT", "OFF"]
+COLUMNS = ["BOOT", "SELF_TEST", "STANDBY", "LOST_IN_SPACE", "TRACKING", "FAULT", "OFF", "RATE_ONLY"]
 TABLE = """
-POWER_ON            .      .      .       .       .       .      BOOT
-BOOT_DONE           STBY   .      .       .       .       .      .
-SELF_TEST_STARTED   TEST   .      .       .       .       .      .
-SELF_TEST_PASSED    .      STBY   .       .       .       .      .
-SELF_TEST_FAILED    .      FAULT  .       .       .       .      .
-COMMAND_STANDBY     .      .      STBY    STBY    STBY    .      .
-COMMAND_ACQUIRE     .      .      LIS     LIS     LIS     .      .
-COMMAND_TRACK_FROM  .      .      TRACK   TRACK   TRACK   .      .
-COMMAND_SELF_TEST   .      .      TEST    .       .       TEST   .
-COMMAND_RESET       BOOT   BOOT   BOOT    BOOT    BOOT    BOOT   .
-COMMAND_SHUTDOWN    OFF    OFF    OFF     OFF     OFF     OFF    .
-AUTONOMOUS_START    .      .      LIS     .       .       .      .
-ATTITUDE_ACQUIRED   .      .      .       TRACK   .       .      .
-TRACKING_LOST       .      .      .       .       LIS     .      .
-FAULT_DETECTED      FAULT  FAULT  FAULT   FAULT   FAULT   .      .
-POWER_OFF           OFF    OFF    OFF     OFF     OFF     OFF    .
+POWER_ON            .      .      .       .       .       .      BOOT   .
+BOOT_DONE           STBY   .      .       .       .       .      .      .
+SELF_TEST_STARTED   TEST   .      .       .       .       .      .      .
+SELF_TEST_PASSED    .      STBY   .       .       .       .      .      .
+SELF_TEST_FAILED    .      FAULT  .       .       .       .      .      .
+COMMAND_STANDBY     .      .      STBY    STBY    STBY    .      .      STBY
+COMMAND_ACQUIRE     .      .      LIS     LIS     LIS     .      .      LIS
+COMMAND_TRACK_FROM  .      .      TRACK   TRACK   TRACK   .      .      TRACK
+COMMAND_SELF_TEST   .      .      TEST    .       .       TEST   .      .
+COMMAND_RESET       BOOT   BOOT   BOOT    BOOT    BOOT    BOOT   .      BOOT
+COMMAND_SHUTDOWN    OFF    OFF    OFF     OFF     OFF     OFF    .      OFF
+AUTONOMOUS_START    .      .      LIS     .       .       .      .      .
+ATTITUDE_ACQUIRED   .      .      .       TRACK   .       .      .      TRACK
+TRACKING_LOST       .      .      .       .       LIS     .      .      .
+FAULT_DETECTED      FAULT  FAULT  FAULT   FAULT   FAULT   .      .      FAULT
+POWER_OFF           OFF    OFF    OFF     OFF     OFF     OFF    .      OFF
+RATE_ALONE          .      .      .       RATE    .       .      .      .
+SLOW_AGAIN          .      .      .       .       .       .      .      LIS
 """
 SHORT = {
     "BOOT": Mode.BOOT,
@@ -35,6 +37,7 @@ SHORT = {
     "TRACK": Mode.TRACKING,
     "FAULT": Mode.FAULT,
     "OFF": Mode.OFF,
+    "RATE": Mode.RATE_ONLY,
     ".": None,
 }
 ROWS = {row.split()[0]: row.split()[1:] for row in TABLE.strip().splitlines()}
@@ -52,8 +55,8 @@ def test_the_picture_holds_every_event_and_mode() -> None:
 
 
 def test_the_numbers_are_those_of_the_telemetry() -> None:
-    assert [mode.value for mode in Mode] == [0, 1, 2, 3, 4, 5, 6]
-    assert [event.value for event in ModeEvent] == list(range(16))
+    assert [mode.value for mode in Mode] == [0, 1, 2, 3, 4, 5, 6, 7]
+    assert [event.value for event in ModeEvent] == list(range(18))
     names = "TOO_FEW_STARS NO_MATCH BLINDED RATE_TOO_HIGH OVERRUN NOT_ACQUIRING FRAME_DROPPED PIVOT_LOST "
     names += "RESIDUAL_TOO_LARGE AMBIGUOUS WORK_LIMIT NO_FRAME TOO_MANY_SPOTS UNCONFIRMED"
     assert {name: 1 << bit for bit, name in enumerate(names.split())} == {r.name: r.value for r in Reason}

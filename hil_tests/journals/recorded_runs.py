@@ -1,7 +1,10 @@
 """The runs whose journals are kept here, each driven by an OBC made with struct alone.
 
-``python -m hil_tests.journals.recorded_runs FOLDER [NAME ...]`` records them anew. The kept ones were
-recorded before the rebuild of the unit into a device with dialects: what they hold is what users saw then.
+``python -m hil_tests.journals.recorded_runs FOLDER [NAME ...]`` records them anew. The kept ones were first
+recorded before the rebuild of the unit into a device with dialects, and hold what users saw then; their first
+lines still are of that time, for a journal that is recorded over an older one keeps its header. They were
+recorded anew when the attitude report grew by the covariance of the rate: every other field of every attitude
+report was the same to the last bit but those of time and cycles.
 """
 
 from __future__ import annotations
@@ -369,9 +372,13 @@ def record_run(name: str) -> str:
 def main(folder: Path, names: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name in names or RUNS:
+        path = folder / f"{name}.jsonl.xz"
         text = record_run(name)
+        if path.exists():
+            header, _, _ = lzma.decompress(path.read_bytes()).decode().partition("\n")
+            text = header + "\n" + text.partition("\n")[2]
         data = lzma.compress(text.encode(), preset=9 | lzma.PRESET_EXTREME)
-        (folder / f"{name}.jsonl.xz").write_bytes(data)
+        path.write_bytes(data)
         print(f"{name}: {text.count(chr(10))} lines, {len(text)} characters, {len(data)} octets kept")
 
 

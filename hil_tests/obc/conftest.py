@@ -19,6 +19,7 @@ MS = 1_000_000
 CUC = struct.pack(">IBH", 2_000_000_000, 0x80, 0)  # 2e9 s and a half
 STATUS = struct.Struct(">BBHIBHIIIIIIIhB")
 ATTITUDE = struct.Struct(">I7sBBBI4d6fB3f4H3f3IBHf")
+RATE_COVARIANCE = struct.Struct(">B6f")  # behind it, since it has grown
 
 
 def crc16(data: bytes) -> int:
@@ -68,9 +69,12 @@ def attitude_data(
     rate: tuple[float, float, float] | None = (0.0, 0.0, 0.0),
     time: bytes = CUC,
     late: int = 0,
+    rate_covariance: tuple[float, ...] | None = None,
+    older: bool = False,
 ) -> bytes:
-    """Source data of an attitude report (130,1)."""
-    return ATTITUDE.pack(
+    """Source data of an attitude report (130,1); ``older``: of a unit that knows no covariance of a rate."""
+    behind = RATE_COVARIANCE.pack(int(rate_covariance is not None), *(rate_covariance or (0.0,) * 6))
+    report = ATTITUDE.pack(
         frame, time, 1, mode, valid, reasons, *q,
         1e-12, 2e-13, 3e-13, 4e-12, 5e-13, 6e-11,
         int(rate is not None), *(rate or (0.0, 0.0, 0.0)),
@@ -78,6 +82,7 @@ def attitude_data(
         0.25, 101.5, 2.5, 100_000, 12_345_678, 150_000,
         late, 0, 2.0**-20 if valid else 1.0,
     )  # fmt: skip
+    return report if older else report + behind
 
 
 @dataclass(frozen=True)

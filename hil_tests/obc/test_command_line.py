@@ -1,6 +1,5 @@
 """`st-emulator obc`: commands, scripts, shell, live view, exit statuses, JSON."""
 
-import io
 import json
 import struct
 from collections.abc import Callable
@@ -10,16 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from rich.console import Console
 from typer.testing import CliRunner, Result
 
+from hil_tests.obc.test_live_view import SIGMA_3_4_12_ARCSEC
 from st_emulator.links import MemoryLink
 from st_emulator.obc import Obc, Recorder, SteppedReader
 from st_emulator.obc.cli import obc_app
 from st_emulator.obc.commands import COMMANDS, CommandError, parse_line
 from st_emulator.obc.session import Session
 from st_emulator.obc.shell import _Shell
-from st_emulator.obc.watching import live_table, watch
 from st_emulator.units.profile import load_unit
 
 Run = Callable[..., Result]
@@ -418,56 +416,22 @@ def test_an_expectation_looks_at_what_is_fresh(run: Run, unit: Any) -> None:
     assert run(*commands("wait 3", "expect attitude.frame_index == 2")).exit_code == 0
 
 
-# The live view
+@pytest.mark.parametrize(
+    ("older", "rest"), [(False, ", 1 sigma x 3.00  y 4.00  z 12.00 arcsec/s"), (True, "")]
+)
+def test_the_command_attitude_shows_the_rate(run: Any, unit: Any, older: bool, rest: str) -> None:
+    unit.attitude(rate=(0.0, 0.0, 0.017453292), rate_covariance=SIGMA_3_4_12_ARCSEC, older=older, after_ms=1)
+    result = run(*commands("attitude"))
+    assert result.exit_code == 0
+    assert f"  rate x +0.00000  y +0.00000  z +1.00000 deg/s{rest}\n" in result.output
 
 
-def drawn(obc: Obc) -> str:
-    console = Console(width=120, file=io.StringIO())
-    console.print(live_table(obc))
-    return console.file.getvalue()  # type: ignore[attr-defined]
-
-
-def test_the_live_view_before_and_after_the_first_report(obc: Obc, unit: Any) -> None:
-    assert "no report yet" in drawn(obc)
-    unit.attitude(q=(0.0, 0.0, 0.0, 1.0), rate=(0.0, 0.017453292, 0.0))
-    unit.event(6, struct.pack(">II", 3, 2), severity=2)
-    obc.wait(0.01)
-    text = drawn(obc)
-    # 2e9.5 s of TAI since 1958, and 37 leap seconds less in UTC
-    assert "2021-05-18T03:32:43.500+00:00" in text
-    for part in (
-        "TRACKING",
-        "dec +90.00000",
-        "y +1.00000",
-        "12 identified of 20 spots",
-        "low: TRACKING_LOST",
-    ):
-        assert part in text
-    unit.attitude(valid=0, reasons=4, rate=None, late=1)
-    obc.wait(0.01)
-    text = drawn(obc)
-    assert "not valid: BLINDED" in text
-    assert "late" in text
-
-
-def test_without_a_terminal_the_view_is_a_line_per_report(obc: Obc, unit: Any) -> None:
-    for frame in range(4):
-        unit.attitude(frame=frame, valid=frame % 2, reasons=0 if frame % 2 else 1, after_ms=250 * frame + 100)
-    console = Console(width=120, file=io.StringIO())
-    watch(obc, 1.0, console)
-    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
-    assert len(lines) == 4
-    assert "not valid: TOO_FEW_STARS" in lines[0]
-    assert "stars 12/20" in lines[3]
-
-
-def test_a_terminal_is_drawn_on_again_and_again(obc: Obc, unit: Any) -> None:
-    unit.attitude(after_ms=600)
-    console = Console(width=120, height=40, file=io.StringIO(), force_terminal=True)
-    watch(obc, 1.0, console)
-    text = console.file.getvalue()  # type: ignore[attr-defined]
-    assert "no report yet" in text
-    assert "12 identified" in text
+def test_what_an_older_unit_does_not_tell_cannot_be_expected(run: Any, unit: Any) -> None:
+    unit.attitude(older=True, after_ms=1)
+    result = run(*commands("expect attitude.rate_covariance_xx < 1"))
+    assert result.exit_code == 1
+    said = "the unit is an older one: its attitude reports have no rate_covariance_xx"
+    assert said in result.output.replace("\n", " ")
 
 
 def test_watch_from_a_script(run: Run, unit: Any) -> None:

@@ -41,6 +41,41 @@ def test_attitudes_as_numbers(obc: Obc, unit: Any) -> None:
     assert obc.unit.frames_by_mode == {4: 1, 3: 1}
 
 
+RATE_COVARIANCE = (4.0, 0.5, -0.25, 9.0, 0.125, 16.0)  # xx, xy, xz, yy, yz, zz
+
+
+def test_the_accuracy_of_the_rate(obc: Obc, unit: Any) -> None:
+    rate = (0.25, -0.5, 1.0)
+    unit.attitude(frame=1, valid=0, reasons=8, mode=7, rate=rate, rate_covariance=RATE_COVARIANCE)
+    unit.attitude(frame=2, rate=rate)
+    unit.attitude(frame=3, rate=None, rate_covariance=RATE_COVARIANCE)
+    unit.attitude(frame=4, rate=rate, rate_covariance=(-1.0, *RATE_COVARIANCE[1:]))
+    obc.wait(0.01)
+    alone, bare, none, wrong = obc.attitudes()
+    assert (alone.mode, alone.valid) == (Mode.RATE_ONLY, False)
+    np.testing.assert_array_equal(alone.rate_rad_s, rate)
+    np.testing.assert_array_equal(
+        alone.rate_covariance_rad2_s2, [[4.0, 0.5, -0.25], [0.5, 9.0, 0.125], [-0.25, 0.125, 16.0]]
+    )
+    np.testing.assert_array_equal(alone.rate_sigma_rad_s, [2.0, 3.0, 4.0])
+    assert bare.rate_rad_s is not None
+    assert (bare.rate_covariance_rad2_s2, bare.rate_sigma_rad_s) == (None, None)
+    assert none.rate_covariance_rad2_s2 is None, "of a rate that is not valid"
+    np.testing.assert_array_equal(wrong.rate_sigma_rad_s, [np.nan, 3.0, 4.0])
+    assert obc.unit.mode is Mode.TRACKING
+    assert obc.unit.frames_by_mode == {7: 1, 4: 3}
+
+
+def test_an_older_unit_tells_no_accuracy_of_its_rate(obc: Obc, unit: Any) -> None:
+    unit.attitude(frame=7, rate=(0.25, -0.5, 1.0), older=True)
+    obc.wait(0.01)
+    (attitude,) = obc.attitudes()
+    assert (attitude.frame_index, attitude.valid, attitude.stars_identified) == (7, True, 12)
+    np.testing.assert_array_equal(attitude.rate_rad_s, [0.25, -0.5, 1.0])
+    assert (attitude.rate_covariance_rad2_s2, attitude.rate_sigma_rad_s) == (None, None)
+    assert (obc.counters.malformed, obc.counters.packets) == (0, 1)
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
 def test_pointing_of_a_quaternion(wire: Any, seed: int) -> None:

@@ -101,7 +101,8 @@ def test_lines_are_whole_while_the_session_runs(recorded: Obc, unit: Any, folder
 
 
 def test_tables_hold_what_was_sent(recorded: Obc, unit: Any, folder: Path) -> None:
-    unit.attitude(frame=6, q=(0.5, 0.5, -0.5, 0.5), rate=(0.25, 0, 0))
+    covariance = (0.5, 0.25, -0.125, 1.0, 0.0, 2.0)
+    unit.attitude(frame=6, q=(0.5, 0.5, -0.5, 0.5), rate=(0.25, 0, 0), rate_covariance=covariance)
     unit.status()
     unit.event(2, struct.pack(">BBB", 2, 3, 4))
     unit.answer((17, 1), lambda request: unit.send(17, 2))
@@ -109,6 +110,9 @@ def test_tables_hold_what_was_sent(recorded: Obc, unit: Any, folder: Path) -> No
     (attitude,) = table(folder / "attitude.csv")
     assert [float(attitude[f"q_{axis}"]) for axis in "xyzw"] == [0.5, 0.5, -0.5, 0.5]
     assert (attitude["frame_index"], attitude["rate_x"], attitude["mode"]) == ("6", "0.25", "4")
+    triangle = ("xx", "xy", "xz", "yy", "yz", "zz")
+    assert tuple(float(attitude[f"rate_covariance_{axes}"]) for axes in triangle) == covariance
+    assert attitude["rate_covariance_valid"] == "1"
     assert attitude["mid_exposure_time_tai_ns"] == "2000000000500000000"
     assert list(attitude)[:4] == ["received_s", "time_tai_ns", "time_status", "sequence_count"]
     assert attitude["packet_time_status"] == "1"  # the report's own, beside that of the packet's header

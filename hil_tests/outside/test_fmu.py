@@ -174,6 +174,7 @@ def test_the_attitude_is_the_true_one(fmu: Path) -> None:
             error = (then.inv() * Rotation.from_quat(master.attitude())).as_rotvec()
             errors.append(np.hypot(error[0], error[1]) / ARCSEC)
     rates = [master.get(f"measured_rate_{axis}") for axis in "xyz"]
+    assert master.get("rate_valid")
     master.close()
     assert len(errors) > 20
     assert np.median(errors) < 2 * load_unit("roja1").requirements.cross_boresight_arcsec
@@ -187,7 +188,7 @@ def test_power_is_an_input(master: Master) -> None:
     reports = master.get("reports")
     master.set(power=False)
     master.step(20)
-    assert (master.get("valid"), master.get("mode")) == (0, 255)
+    assert (master.get("valid"), master.get("rate_valid"), master.get("mode")) == (0, 0, 255)
     assert master.get("reports") == reports
     master.set(power=True)
     master.step(60)

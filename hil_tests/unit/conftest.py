@@ -21,7 +21,10 @@ from st_emulator.wire.can.wiring import CanWiring
 
 MS = 1_000_000
 SOURCE = 0x2A
-MODE = {"BOOT": 0, "SELF_TEST": 1, "STANDBY": 2, "LOST_IN_SPACE": 3, "TRACKING": 4, "FAULT": 5, "OFF": 6}
+MODE = {
+    "BOOT": 0, "SELF_TEST": 1, "STANDBY": 2, "LOST_IN_SPACE": 3, "TRACKING": 4, "FAULT": 5, "OFF": 6,
+    "RATE_ONLY": 7,
+}  # fmt: skip
 PARAMETER = {
     name: number
     for number, name in enumerate(
@@ -150,16 +153,16 @@ class Bench(Received):
         return self
 
     def to_mode(self, mode: str) -> None:
-        """From STANDBY to a mode."""
+        """From STANDBY to a mode; to RATE_ONLY where the frames lead there (``tumbling.tumble``)."""
         if mode == "SELF_TEST":
             self.function("START_SELF_TEST", ack=0)
             self.run(20)
         elif mode == "LOST_IN_SPACE":
             self.function("START_ACQUISITION", ack=0)
             self.run(10)
-        elif mode == "TRACKING":
+        elif mode in ("TRACKING", "RATE_ONLY"):
             self.function("START_ACQUISITION", ack=0)
-            self.run_until(lambda: self.emulator.device.mode == MODE["TRACKING"])
+            self.run_until(lambda: self.emulator.device.mode == MODE[mode])
         elif mode == "FAULT":
             from st_emulator.protocol.pus.enumerations import FaultCause
 

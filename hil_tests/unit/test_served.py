@@ -49,7 +49,8 @@ def test_every_command_of_the_device_has_its_modes(kind: type) -> None:
 
 
 def test_the_mode_of_functions_is_that_of_their_commands() -> None:
-    assert allowed_modes(FunctionId.GO_STANDBY) == (Mode.STANDBY, Mode.LOST_IN_SPACE, Mode.TRACKING)
+    running = (Mode.STANDBY, Mode.LOST_IN_SPACE, Mode.TRACKING, Mode.RATE_ONLY)
+    assert allowed_modes(FunctionId.GO_STANDBY) == running
     assert Mode.SELF_TEST not in allowed_modes(FunctionId.CAPTURE_IMAGE)
     assert functions.allowed_modes(FunctionId.ABORT_DOWNLOAD) == commands.LISTENING
 

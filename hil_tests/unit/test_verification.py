@@ -9,6 +9,7 @@ import pytest
 from hil_tests.vectors import reference_decoder as wire
 
 from .conftest import FUNCTION, MODE, SOURCE, Bench
+from .tumbling import tumble
 
 ACCEPTANCE, START, PROGRESS, COMPLETION = 8, 4, 2, 1
 NOT_ALLOWED, OUT_OF_RANGE, UNKNOWN_ID, READ_ONLY, BUSY, NO_IMAGE = 7, 8, 9, 10, 11, 12
@@ -283,7 +284,7 @@ for function, number in FUNCTION.items():
         "function",
         {"function_id": number, "arguments": ARGUMENTS.get(function, {})},
     )
-LISTENING = ("STANDBY", "LOST_IN_SPACE", "TRACKING", "SELF_TEST", "FAULT")
+LISTENING = ("STANDBY", "LOST_IN_SPACE", "TRACKING", "RATE_ONLY", "SELF_TEST", "FAULT")
 
 
 def test_the_interface_document_names_every_telecommand() -> None:
@@ -292,7 +293,9 @@ def test_the_interface_document_names_every_telecommand() -> None:
 
 
 @pytest.mark.parametrize("mode", LISTENING)
-def test_every_telecommand_in_every_mode(new_bench: Any, mode: str) -> None:
+def test_every_telecommand_in_every_mode(new_bench: Any, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if mode == "RATE_ONLY":
+        tumble(monkeypatch)
     table = icd_modes()
     # A unit that sees nothing when it has to stay in LOST_IN_SPACE.
     blind = {"blinded_background_dn": 1} if mode == "LOST_IN_SPACE" else {}
@@ -342,7 +345,11 @@ TARGETS = {
         if mode in icd_modes()[f"function {function}"]
     ],
 )
-def test_functions_lead_where_the_table_says(new_bench: Any, mode: str, function: str) -> None:
+def test_functions_lead_where_the_table_says(
+    new_bench: Any, mode: str, function: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if mode == "RATE_ONLY":
+        tumble(monkeypatch)
     bench = new_bench(timing={"self_test_ms": 60000}).boot()
     bench.to_mode(mode)
     bench.run(30)

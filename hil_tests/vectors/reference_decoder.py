@@ -213,7 +213,12 @@ ATTITUDE = (
     "covariance_xx:f covariance_xy:f covariance_xz:f covariance_yy:f covariance_yz:f covariance_zz:f "
     "rate_valid:B rate_x:f rate_y:f rate_z:f spots_detected:H stars_identified:H windows:H "
     "window_half_width_px:H residual_rms_arcsec:f background_dn:f noise_dn:f exposure_us:I cycles:I "
-    "latency_us:I late:B frames_dropped_before:H false_match_probability:f"
+    "latency_us:I late:B frames_dropped_before:H false_match_probability:f "
+)
+# What was added behind it later.
+RATE_COVARIANCE = (
+    "rate_covariance_valid:B rate_covariance_xx:f rate_covariance_xy:f rate_covariance_xz:f "
+    "rate_covariance_yy:f rate_covariance_yz:f rate_covariance_zz:f"
 )
 
 IMAGE_HEADER = "frame_index:I width:H height:H bits:B reserved:B time:T exposure_us:I crc:H"
@@ -296,7 +301,7 @@ TELEMETRY = {
     (13, 3): ("image_last_part", _image_part),
     (17, 2): ("pong", lambda r: {}),
     (20, 2): ("parameter_values", _parameter_values),
-    (130, 1): ("attitude_report", lambda r: r.record(ATTITUDE)),
+    (130, 1): ("attitude_report", lambda r: r.record(ATTITUDE + RATE_COVARIANCE)),
 }
 
 

@@ -10,7 +10,7 @@ from enum import IntEnum, IntFlag
 from ..framing import slip_encode
 from ..pus import enumerations as enumeration
 from ..pus.events import EVENT_TABLE
-from ..pus.fields import meaning_of
+from ..pus.fields import FieldGroup, meaning_of
 from ..pus.functions import FUNCTION_TABLE
 from ..pus.headers import (
     PRIMARY_HEADER,
@@ -23,6 +23,7 @@ from ..pus.messages import MessageDefinition, MessageRegistry, ServiceDefinition
 from ..pus.packets import (
     MAX_TELECOMMAND_BYTES,
     MAX_TELEMETRY_BYTES,
+    PACKET_ERROR_CONTROL_BYTES,
     PRIMARY_HEADER_BYTES,
     TELECOMMAND_SECONDARY_HEADER_BYTES,
     TELEMETRY_SECONDARY_HEADER_BYTES,
@@ -237,8 +238,28 @@ def _message(message: MessageDefinition) -> list[str]:
         if message.service == 5:
             where = "see [events](#events)"
         lines += fields_table(message.fields, _TC_DATA if message.kind == "TC" else _TM_DATA, where)
+        lines += _earlier(message)
     else:
         lines += ["No data.", ""]
+    return lines
+
+
+def _earlier(message: MessageDefinition) -> list[str]:
+    """What a unit of an earlier edition sends of a message that has grown."""
+    around = (_TC_DATA if message.kind == "TC" else _TM_DATA) + PACKET_ERROR_CONTROL_BYTES
+    names = [element.name for element in message.fields]
+    lines = []
+    for name in message.earlier_ends:
+        size = FieldGroup(message.fields[: names.index(name) + 1]).size_bytes
+        whole = message.data.group.size_bytes
+        assert size is not None
+        assert whole is not None
+        lines += [
+            f"The packet has {whole + around} bytes. Units of an earlier edition end it behind `{name}`, "
+            f"with {size + around} bytes: fields are added at the end alone, none moves, and the length "
+            "tells which are there.",
+            "",
+        ]
     return lines
 
 

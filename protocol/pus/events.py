@@ -96,7 +96,7 @@ EVENT_TABLE: tuple[EventDefinition, ...] = (
     EventDefinition(
         EventId.ATTITUDE_ACQUIRED,
         _INFO,
-        "first valid attitude after lost in space",
+        "first valid attitude after LOST_IN_SPACE or RATE_ONLY",
         (_FRAME, Field("stars", UINT8, meaning="identified stars; 255 stands for 255 or more")),
     ),
     EventDefinition(

@@ -412,11 +412,20 @@ class FieldGroup:
 
 
 class DataLayout:
-    """The application or source data of a message: a FieldGroup with its construct built once."""
+    """The application or source data of a message: a FieldGroup with its construct built once.
 
-    def __init__(self, elements: tuple[Element, ...]) -> None:
+    ``earlier_ends``: elements, all before them of fixed size, behind which data may end as well, as they did
+    before the message grew. Such data are read, never built.
+    """
+
+    def __init__(self, elements: tuple[Element, ...], earlier_ends: tuple[str, ...] = ()) -> None:
         self.group = FieldGroup(elements)
         self.construct = self.group.layout
+        names = [element.name for element in elements]
+        self._earlier: dict[int | None, DataLayout] = {}
+        for name in earlier_ends:
+            earlier = DataLayout(elements[: names.index(name) + 1])
+            self._earlier[earlier.group.size_bytes] = earlier
 
     def build(self, values: Mapping[str, Any], strict: bool = True) -> bytes:
         """The bytes of ``values``; FieldError when they are not allowed."""
@@ -424,8 +433,11 @@ class DataLayout:
 
     def parse(self, data: bytes) -> dict[str, Any]:
         """The plain values of ``data``; construct.ConstructError when the layout does not use it up
-        exactly.
+        exactly. Data that end where they did earlier have no values for what was added behind.
         """
+        earlier = self._earlier.get(len(data))
+        if earlier is not None:
+            return earlier.parse(data)
         stream = io.BytesIO(data)
         values = self.construct.parse_stream(stream)
         left = len(data) - stream.tell()
@@ -435,6 +447,9 @@ class DataLayout:
 
     def violation(self, values: Mapping[str, Any]) -> FieldViolation | None:
         """The first thing in decoded ``values`` that is not allowed, None when all is well."""
+        for earlier in self._earlier.values():
+            if values.keys() == {element.name for element in earlier.group.elements}:
+                return earlier.violation(values)
         try:
             self.group.prepare(values, "", True)
         except FieldError as error:

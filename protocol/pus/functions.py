@@ -35,7 +35,8 @@ FUNCTION_TABLE: tuple[FunctionDefinition, ...] = (
     FunctionDefinition(FunctionId.GO_STANDBY, "go to STANDBY; frames are no longer processed"),
     FunctionDefinition(
         FunctionId.START_ACQUISITION,
-        "go to LOST_IN_SPACE and from there, with the first attitude, to TRACKING",
+        "go to LOST_IN_SPACE and from there, with the first attitude, to TRACKING; by RATE_ONLY where the "
+        "unit turns too fast for an attitude",
         verification="start; completion with the first valid attitude",
     ),
     FunctionDefinition(

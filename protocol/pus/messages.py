@@ -33,7 +33,8 @@ class MessageDefinition:
 
     ``fields`` describe its application (TC) or source (TM) data in the order of the wire. ``clause`` is
     that of ECSS-E-ST-70-41C; ``tailoring`` says where this interface departs from it. ``verification`` says
-    which reports a telecommand gives beyond acceptance, ``when`` what sends a telemetry message.
+    which reports a telecommand gives beyond acceptance, ``when`` what sends a telemetry message. Messages
+    grow at their end: ``earlier_ends`` names the last field of each earlier edition, which is still read.
     """
 
     kind: Kind
@@ -47,11 +48,12 @@ class MessageDefinition:
     tailoring: str = ""
     verification: str = ""
     notes: tuple[str, ...] = ()
+    earlier_ends: tuple[str, ...] = ()
 
     @cached_property
     def data(self) -> DataLayout:
         """Codec and checks of its application or source data."""
-        return DataLayout(self.fields)
+        return DataLayout(self.fields, self.earlier_ends)
 
     @property
     def layout(self) -> construct.Construct:

@@ -29,7 +29,15 @@ INK = "#e8eaed"
 PAPER = "#14171c"
 MOST_LABELS = 14
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf", ".jpg")
-MODE_ORDER = [Mode.OFF, Mode.BOOT, Mode.SELF_TEST, Mode.STANDBY, Mode.LOST_IN_SPACE, Mode.TRACKING]
+MODE_ORDER = [
+    Mode.OFF,
+    Mode.BOOT,
+    Mode.SELF_TEST,
+    Mode.STANDBY,
+    Mode.RATE_ONLY,
+    Mode.LOST_IN_SPACE,
+    Mode.TRACKING,
+]
 STYLE: dict[Any, Any] = {
     "figure.facecolor": PAPER,
     "axes.facecolor": "#0c0e12",

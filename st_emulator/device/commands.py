@@ -173,7 +173,7 @@ Command = (
     | LoadMemory
 )
 
-RUNNING: Final = (Mode.STANDBY, Mode.LOST_IN_SPACE, Mode.TRACKING)
+RUNNING: Final = (Mode.STANDBY, Mode.LOST_IN_SPACE, Mode.TRACKING, Mode.RATE_ONLY)
 LISTENING: Final = (*RUNNING, Mode.SELF_TEST, Mode.FAULT)
 
 #: The mode event of a command that changes the mode: it is allowed where the mode table knows the event.

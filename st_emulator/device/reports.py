@@ -99,7 +99,7 @@ class FrameDropped:
 
 @dataclass(frozen=True)
 class AttitudeAcquired:
-    """Lost in space found the attitude."""
+    """The attitude was found: lost in space, or behind frames that gave a rate alone."""
 
     record: FrameRecord
 

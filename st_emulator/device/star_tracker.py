@@ -57,6 +57,7 @@ from .self_test import STEPS, SelfTestRun
 from .store import Store
 
 IDENTITY: Final[Quaternion] = (0.0, 0.0, 0.0, 1.0)
+SEARCHING: Final = (Mode.LOST_IN_SPACE, Mode.RATE_ONLY)
 TEMPERATURE_CDEG: Final = 2000  # ASSUMED: 20.00 deg C; no thermal model
 
 
@@ -385,7 +386,7 @@ class StarTracker(Life):
         if blinded and not self._blinded:
             self._tell(reports.SensorBlinded(record))
         self._blinded = blinded
-        if result.event is ModeEvent.ATTITUDE_ACQUIRED and self.mode == Mode.LOST_IN_SPACE:
+        if result.event is ModeEvent.ATTITUDE_ACQUIRED and self.mode in SEARCHING:
             self._tell(reports.AttitudeAcquired(record))
         elif result.event is ModeEvent.TRACKING_LOST and self.mode == Mode.TRACKING:
             self._tell(reports.TrackingLost(record))

@@ -115,6 +115,8 @@ class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         for name, description in _INTEGERS.items():
             setattr(self, name, NO_MODE if name == "mode" else 0)
             self._output(Integer, name, description)
+        self.rate_valid = False
+        self._output(Boolean, "rate_valid", "whether its rate holds, which it may without an attitude")
         self._emulator: Emulator | None = None
         self._truth = SampledTrajectory()
         self._decoder = SlipDecoder(MAX_TELEMETRY_BYTES)
@@ -211,7 +213,7 @@ class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
         """As the input says; a fault of the scenario may keep power away although it is on."""
         emulator.power(bool(self.power))
         if not emulator.device.powered:
-            self.valid, self.mode = False, NO_MODE
+            self.valid, self.rate_valid, self.mode = False, False, NO_MODE
 
     def _attitude(self) -> np.ndarray[Any, np.dtype[np.float64]]:
         q = np.array([self.q_x, self.q_y, self.q_z, self.q_w])
@@ -265,7 +267,7 @@ class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
             setattr(self, f"measured_q_{axis}", fields[f"q_{axis}"])
         for axis in "xyz":
             setattr(self, f"measured_rate_{axis}", fields[f"rate_{axis}"])
-        self.valid = bool(fields["valid"])
+        self.valid, self.rate_valid = bool(fields["valid"]), bool(fields["rate_valid"])
         self.mode, self.reasons = fields["mode"], fields["reasons"]
         self.frame_index = fields["frame_index"] & 0x7FFFFFFF  # an Integer of FMI has 32 bits and a sign
         self.mid_exposure_s = (mid_ns + self._start_ns) / NS_PER_S

@@ -47,8 +47,9 @@ class LastFrame:
     exposure_mid_ns: virtual time it is valid for; latency_ns: from there until its result counted.
     reasons: why there is no valid attitude, names. q_icrs_to_sensor: measured, [x, y, z, w], where valid.
     q_true_icrs_to_sensor: at mid-exposure; error_arcsec: measured against true about the sensor's axes x, y,
-    z; both None where the truth is not known any more. rate_rad_s: measured, sensor axes, where known. spots,
-    stars: found, identified. late_ns: how late the result was for the next frame.
+    z; both None where the truth is not known any more. rate_rad_s: measured, sensor axes, where known, also
+    where no attitude is. spots, stars: found, identified. late_ns: how late the result was for the next
+    frame. rate_covariance_rad2_s2: of the rate's error, row by row, nine values, where known.
     """
 
     frame_index: int
@@ -63,6 +64,7 @@ class LastFrame:
     spots: int
     stars: int
     late_ns: int
+    rate_covariance_rad2_s2: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -347,6 +349,9 @@ class Lockstep:
             spots=result.spots_detected,
             stars=result.stars_identified,
             late_ns=record.late_ns,
+            rate_covariance_rad2_s2=None
+            if result.rate_rad_s is None or result.rate_covariance_rad2_s2 is None
+            else _floats(result.rate_covariance_rad2_s2.ravel()),
         )
 
     def counters(self) -> dict[str, int]:

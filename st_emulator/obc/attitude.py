@@ -19,8 +19,9 @@ class Attitude:
     time_ns: middle of the exposure, on-board TAI ns since 1958-01-01. q_icrs_to_sensor: float64[4], x y z w
     (scalar last), v_sensor = A(q) v_icrs. covariance_rad2: float64[3, 3] of the small-angle error in sensor
     axes. rate_rad_s: float64[3], sensor relative to ICRS in sensor axes, None when the unit says it is not
-    valid. false_match_probability: that the stars were matched by chance, as the unit tells it; 1 where not
-    valid.
+    valid; it may be valid where the attitude is not. rate_covariance_rad2_s2: float64[3, 3] of its error in
+    sensor axes, None when the unit says it is not valid, and from a unit that does not send it.
+    false_match_probability: that the stars were matched by chance, as the unit tells it; 1 where not valid.
     """
 
     time_ns: int
@@ -40,11 +41,12 @@ class Attitude:
     late: bool
     false_match_probability: float
     received_ns: int
+    rate_covariance_rad2_s2: NDArray[np.float64] | None = None
 
     @classmethod
     def from_fields(cls, fields: Mapping[str, Any], received_ns: int) -> Attitude:
-        """From the decoded fields of an attitude report."""
-        covariance = [[fields[f"covariance_{min(a, b)}{max(a, b)}"] for b in "xyz"] for a in "xyz"]
+        """From the decoded fields of an attitude report, whole or as an older unit sends it."""
+        told = fields["rate_valid"] and fields.get("rate_covariance_valid", 0)
         mode = Mode(fields["mode"]) if fields["mode"] in Mode.__members__.values() else int(fields["mode"])
         rate = np.array([fields[f"rate_{axis}"] for axis in "xyz"], dtype=np.float64)
         return cls(
@@ -54,7 +56,7 @@ class Attitude:
             valid=bool(fields["valid"]),
             reasons=Reason(fields["reasons"]),
             q_icrs_to_sensor=np.array([fields[f"q_{axis}"] for axis in "xyzw"], dtype=np.float64),
-            covariance_rad2=np.array(covariance, dtype=np.float64),
+            covariance_rad2=_symmetric(fields, "covariance"),
             rate_rad_s=rate if fields["rate_valid"] else None,
             spots_detected=fields["spots_detected"],
             stars_identified=fields["stars_identified"],
@@ -65,12 +67,29 @@ class Attitude:
             late=bool(fields["late"]),
             false_match_probability=fields["false_match_probability"],
             received_ns=received_ns,
+            rate_covariance_rad2_s2=_symmetric(fields, "rate_covariance") if told else None,
         )
+
+    @property
+    def rate_sigma_rad_s(self) -> NDArray[np.float64] | None:
+        """float64[3], 1 sigma of the rate about each sensor axis; NaN where a variance is negative. None
+        without a covariance.
+        """
+        if self.rate_covariance_rad2_s2 is None:
+            return None
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(np.diagonal(self.rate_covariance_rad2_s2))
 
     @property
     def pointing_deg(self) -> tuple[float, float, float]:
         """As of `pointing_deg` below."""
         return pointing_deg(self.q_icrs_to_sensor)
+
+
+def _symmetric(fields: Mapping[str, Any], name: str) -> NDArray[np.float64]:
+    """The matrix of whose upper triangle the fields ``name``_xx to ``name``_zz are."""
+    rows = [[fields[f"{name}_{min(a, b)}{max(a, b)}"] for b in "xyz"] for a in "xyz"]
+    return np.array(rows, dtype=np.float64)
 
 
 def pointing_deg(q_icrs_to_sensor: NDArray[np.float64]) -> tuple[float, float, float]:

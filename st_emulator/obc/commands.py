@@ -35,7 +35,7 @@ from .errors import VerificationError
 from .expectations import FORMS, OPERATORS, parse_expectation
 from .image_file import IMAGE_SUFFIXES, write_image
 from .verification import Verification
-from .watching import attitude_line
+from .watching import attitude_line, rate_text
 
 SHOWN_EVENTS = 20
 ACQUIRE_TIMEOUT_S = 30.0
@@ -205,7 +205,10 @@ def _attitude(arguments: Arguments) -> Action:
 
     def act(desk: Desk) -> None:
         desk.obc.next("attitude_report", timeout_s)
-        desk.say(attitude_line(desk.obc.attitudes()[-1]))
+        attitude = desk.obc.attitudes()[-1]
+        desk.say(attitude_line(attitude))
+        if attitude.valid:
+            desk.say(f"  rate {rate_text(attitude)}")
 
     return act
 
@@ -401,7 +404,7 @@ _COMMANDS = (
     Command("reset", "[warm|cold]", "restart the unit", 0, 1, _reset),
     Command("shutdown", "", "shut the unit down", 0, 0, _function(_F.SHUTDOWN)),
     Command("status", "", "ask for housekeeping structure STATUS", 0, 0, _status),
-    Command("attitude", "[SECONDS]", "show the next attitude report", 0, 1, _attitude),
+    Command("attitude", "[SECONDS]", "show the next attitude report, with the rate", 0, 1, _attitude),
     Command("get", "[PARAM ...]", "show parameters, all when none is named", 0, None, _get),
     Command("set", "PARAM VALUE ...", "set parameters, all or none", 2, None, _set),
     Command(

@@ -142,7 +142,10 @@ def _attitude(name: str, field_name: str) -> Quantity:
 
     def read(obc: Obc) -> float | int:
         _latest(obc)
-        value = obc.unit.latest["attitude_report"].fields[field_name]
+        told = obc.unit.latest["attitude_report"].fields
+        if field_name not in told:
+            raise ValueError(f"the unit is an older one: its attitude reports have no {field_name}")
+        value = told[field_name]
         return seconds(value) if element.type.kind == "time" else value
 
     return Quantity(name, element.unit, element, read)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -22,12 +23,25 @@ def attitude_line(attitude: Attitude) -> str:
     """One attitude report in one line."""
     head = f"frame {attitude.frame_index:6}  {name_of(Mode, int(attitude.mode)):13}"
     if not attitude.valid:
-        return f"{head}  not valid: {name_of(Reason, int(attitude.reasons))}"
+        rate = "" if attitude.rate_rad_s is None else f"  rate {rate_text(attitude)}"
+        return f"{head}  not valid: {name_of(Reason, int(attitude.reasons))}{rate}"
     ra, dec, roll = attitude.pointing_deg
     return (
         f"{head}  ra {ra:10.5f}  dec {dec:+9.5f}  roll {roll:9.4f} deg  "
         f"stars {attitude.stars_identified}/{attitude.spots_detected}"
     )
+
+
+def rate_text(attitude: Attitude) -> str:
+    """The rate of an attitude report, with its accuracy where the unit tells it."""
+    if attitude.rate_rad_s is None:
+        return "not valid"
+    x, y, z = np.degrees(attitude.rate_rad_s)
+    text = f"x {x:+.5f}  y {y:+.5f}  z {z:+.5f} deg/s"
+    if attitude.rate_sigma_rad_s is None:
+        return text
+    x, y, z = ARCSEC_PER_RAD * attitude.rate_sigma_rad_s
+    return f"{text}, 1 sigma x {x:.2f}  y {y:.2f}  z {z:.2f} arcsec/s"
 
 
 def live_table(obc: Obc) -> Table:
@@ -87,11 +101,7 @@ def _attitude_rows(table: Table, attitude: Attitude) -> None:
         table.add_row("1 sigma", f"x {sigma[0]:.2f}  y {sigma[1]:.2f}  z {sigma[2]:.2f} arcsec")
     else:
         table.add_row("attitude", f"not valid: {name_of(Reason, int(attitude.reasons))}")
-    if attitude.rate_rad_s is None:
-        table.add_row("rate", "not valid")
-    else:
-        x, y, z = (57.295_779_513 * float(part) for part in attitude.rate_rad_s)
-        table.add_row("rate", f"x {x:+.5f}  y {y:+.5f}  z {z:+.5f} deg/s")
+    table.add_row("rate", rate_text(attitude))
     table.add_row(
         "stars",
         f"{attitude.stars_identified} identified of {attitude.spots_detected} spots, residual "

@@ -9,6 +9,7 @@ from ..messages import MessageDefinition, ServiceDefinition
 
 _COVARIANCE = "covariance of the small-angle attitude error, sensor axes, "
 _RATE = "angular rate of the sensor frame relative to ICRS, sensor axes, "
+_RATE_COVARIANCE = "covariance of the error of the rate, sensor axes, "
 
 SERVICE = ServiceDefinition(
     130,
@@ -27,7 +28,9 @@ SERVICE = ServiceDefinition(
             "is FREE_RUNNING stellar aberration is not corrected and the attitude is off by up to 20.5 "
             "arcsec, which the covariance does not contain; the velocity about the Earth, which parameters "
             "14 to 16 give, makes up to 5 arcsec more. The report of a dropped frame may come before that "
-            "of the late frame that caused it: frame_index orders them.",
+            "of the late frame that caused it: frame_index orders them. The rate has a validity of its own: "
+            "in mode RATE_ONLY it is all that is known. Where the attitude is not valid the last valid one "
+            "is repeated; a covariance or rate that is not valid is sent as 0.",
             (
                 Field("frame_index", UINT32, meaning="index of the frame, from 0 at power-on"),
                 Field(
@@ -51,7 +54,7 @@ SERVICE = ServiceDefinition(
                 Field("covariance_yy", FLOAT32, "rad^2", meaning=_COVARIANCE + "yy"),
                 Field("covariance_yz", FLOAT32, "rad^2", meaning=_COVARIANCE + "yz"),
                 Field("covariance_zz", FLOAT32, "rad^2", meaning=_COVARIANCE + "zz"),
-                Field("rate_valid", UINT8, "", 0, 1, "1: the rate is valid"),
+                Field("rate_valid", UINT8, "", 0, 1, "1: the rate is valid, also where the attitude is not"),
                 Field("rate_x", FLOAT32, "rad/s", meaning=_RATE + "x"),
                 Field("rate_y", FLOAT32, "rad/s", meaning=_RATE + "y"),
                 Field("rate_z", FLOAT32, "rad/s", meaning=_RATE + "z"),
@@ -90,7 +93,13 @@ SERVICE = ServiceDefinition(
                     "attitudes over the whole sky that chance would let fit the spots as well, at most 1; 1 "
                     "where the attitude is not valid",
                 ),
+                Field("rate_covariance_valid", UINT8, "", 0, 1, "1: the covariance of the rate is valid"),
+                *(
+                    Field(f"rate_covariance_{axes}", FLOAT32, "(rad/s)^2", meaning=_RATE_COVARIANCE + axes)
+                    for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
+                ),
             ),
+            earlier_ends=("false_match_probability",),
             tailoring="Mission-specific service.",
         ),
     ),

@@ -44,6 +44,7 @@ STATE_OF_MODE = {
     Mode.STANDBY: CardState.STANDBY,
     Mode.LOST_IN_SPACE: CardState.STAR_TRACK,
     Mode.TRACKING: CardState.STAR_TRACK,
+    Mode.RATE_ONLY: CardState.STAR_TRACK,  # images are taken and not solved, and the card has no rate
     Mode.FAULT: CardState.ERROR,
 }
 

@@ -131,7 +131,8 @@ MEANING = """\
 
 - STAR_TRACK: the device looks for the attitude and tracks. `delay` (4001h:2) is the least time between
   two images that are reported; 0: one solved image, then STANDBY. ASSUMED: it runs from exposure to
-  exposure. A lost attitude is looked for again, the state stays.
+  exposure. A lost attitude is looked for again, the state stays; so it does where the card turns too fast
+  and the device measures the rate alone (RATE_ONLY): no image is solved then, and no object holds a rate.
 - CAPTURE: images one behind the other, `delay` between them, until there are `num_of_images` or
   `duration` is over; then STANDBY. Those that the filter (4003h) refuses are not counted. ASSUMED: with
   `enable` 0 every image is taken; the delay does not hold up the end.

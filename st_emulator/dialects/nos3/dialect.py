@@ -26,8 +26,8 @@ from .settings import Nos3Settings
 STATUS_FAULT: Final = 1
 STATUS_STORE_INVALID: Final = 2
 
-DETERMINING: Final = (Mode.LOST_IN_SPACE, Mode.TRACKING)
-"""The modes in which an attitude can be valid."""
+DETERMINING: Final = (Mode.LOST_IN_SPACE, Mode.TRACKING, Mode.RATE_ONLY)
+"""The modes in which frames are looked at, so that an attitude can be valid."""
 
 
 class Nos3Dialect:

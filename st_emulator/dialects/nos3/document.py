@@ -102,6 +102,7 @@ The wire shows one bit of state, `valid`, and knows no command that changes one.
 | STANDBY, SELF_TEST, FAULT | commands are answered, `valid` 0 |
 | LOST_IN_SPACE | commands are answered, `valid` 0 until the first attitude |
 | TRACKING | commands are answered, `valid` as the last frame |
+| RATE_ONLY | commands are answered, `valid` 0: the language has no field for a rate |
 
 After boot the unit goes to LOST_IN_SPACE by itself (setting `autonomous`); when it loses the stars it goes
 back there. FAULT is left by a power cycle alone. Power on starts with counter, configuration and status 0.

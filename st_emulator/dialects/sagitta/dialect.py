@@ -36,7 +36,7 @@ from .wire_frame import WireFrame
 
 #: ASSUMED: room for a dozen of the longest frames; one that finds none is lost whole.
 QUEUE_LIMIT_BYTES = 4096
-LOOKING = (Mode.LOST_IN_SPACE, Mode.TRACKING)
+LOOKING = (Mode.LOST_IN_SPACE, Mode.TRACKING, Mode.RATE_ONLY)
 WORD = 32
 
 

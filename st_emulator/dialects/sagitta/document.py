@@ -39,6 +39,7 @@ BEHAVIOUR = """\
 | start of the program | BOOT | after the reply to boot has left, as at power-on |
 | program, LISA | LOST_IN_SPACE | at once with setting `autonomous`; all requests |
 | program, tracking | TRACKING | after the first attitude; all requests |
+| program, LISA | RATE_ONLY | valid 0, strategy LISA_LOW_CONFIDENCE; no field has the rate |
 | program, at rest | STANDBY | without `autonomous`; all requests; no action leads out |
 | program, fault | FAULT | solutions are invalid; mapped parameters are refused (status 3); boot restarts |
 

@@ -212,6 +212,10 @@ def attitude_fields(rng: np.random.Generator) -> dict[str, Any]:
             f"covariance_{name}": float(rng.normal(0, 1e-10)) for name in ("xx", "xy", "xz", "yy", "yz", "zz")
         },
         **{f"rate_{axis}": float(rng.normal(0, 0.01)) for axis in "xyz"},
+        **{
+            f"rate_covariance_{name}": float(rng.normal(0, 1e-9))
+            for name in ("xx", "xy", "xz", "yy", "yz", "zz")
+        },
         "residual_rms_arcsec": float(rng.uniform(0, 20)),
         "background_dn": float(rng.uniform(0, 300)),
         "noise_dn": float(rng.uniform(0.5, 20)),
@@ -223,6 +227,7 @@ def attitude_fields(rng: np.random.Generator) -> dict[str, Any]:
         "valid": int(rng.integers(2)),
         "reasons": int(rng.integers(1 << 8)),
         "rate_valid": int(rng.integers(2)),
+        "rate_covariance_valid": int(rng.integers(2)),
         "spots_detected": int(rng.integers(200)),
         "stars_identified": int(rng.integers(40)),
         "windows": int(rng.integers(25)),

@@ -29,6 +29,7 @@ from tools.calibration.struct_layout import layout_of, place_struct, read_struct
 __all__ = ["STEPS", "TelemetryStep", "own_records"]
 
 MOST_TELECOMMANDS = 16  # of a round
+TRIANGLE = ("xx", "xy", "xz", "yy", "yz", "zz")  # of a covariance, in the order of the packet
 
 
 @dataclass
@@ -108,8 +109,9 @@ class _Run:
             self.machine,
             "st_attitude_report",
             q=[fields[f"q_{axis}"] for axis in "xyzw"],
-            covariance_rad2=[fields[f"covariance_{axes}"] for axes in ("xx", "xy", "xz", "yy", "yz", "zz")],
+            covariance_rad2=[fields[f"covariance_{axes}"] for axes in TRIANGLE],
             rate_rad_s=[fields[f"rate_{axis}"] for axis in "xyz"],
+            rate_covariance_rad2_s2=[fields[f"rate_covariance_{axes}"] for axes in TRIANGLE],
             mid_exposure_coarse=time.coarse,
             mid_exposure_fine=time.fine,
             **{name: fields[name] for name in members if name in fields},

@@ -42,16 +42,27 @@ def attitude_fields(device: StarTracker, report: AttitudeReady) -> dict[str, Any
 
 def _accuracy(result: FrameResult | None) -> dict[str, Any]:
     valid = result if result is not None and result.valid else None
-    rate = None if result is None else result.rate_rad_s
     covariance = {
         f"covariance_{name}": 0.0 if valid is None else float(valid.covariance_rad2[place])
         for name, place in _ELEMENTS.items()
     }
-    rates = {f"rate_{name}": 0.0 if rate is None else float(rate[axis]) for axis, name in enumerate("xyz")}
     probability = 1.0 if valid is None else min(1.0, valid.false_solutions)
-    return (
-        covariance | {"rate_valid": int(rate is not None)} | rates | {"false_match_probability": probability}
-    )
+    return covariance | _rate(result) | {"false_match_probability": probability}
+
+
+def _rate(result: FrameResult | None) -> dict[str, Any]:
+    """The rate and its covariance: what is not known is 0, and flags tell it from a rate of 0."""
+    rate = None if result is None else result.rate_rad_s
+    covariance = None if result is None or rate is None else result.rate_covariance_rad2_s2
+    return {
+        "rate_valid": int(rate is not None),
+        **{f"rate_{name}": 0.0 if rate is None else float(rate[axis]) for axis, name in enumerate("xyz")},
+        "rate_covariance_valid": int(covariance is not None),
+        **{
+            f"rate_covariance_{name}": 0.0 if covariance is None else float(covariance[place])
+            for name, place in _ELEMENTS.items()
+        },
+    }
 
 
 def _observation(result: FrameResult | None) -> dict[str, Any]:
