@@ -70,6 +70,10 @@ class Scene(NamedTuple):
     sigma_px of the point spread; stray: electrons in the exposure, uniform; glow_columns float32[g, width],
     glow_rows float32[g, height]: g more layers of stray light, each the product of its column and row
     factors; response, dark: see `noise.fixed_pattern`; exposure_s.
+
+    row_starts float64[height], row_span: with a rolling shutter, when each row's exposure starts, and how
+    long it lasts, in sub-steps; xs, ys are then [n, steps + 1] at the ends of the sub-steps, and lit int32[n,
+    2] the first sub-step that matters for a star and the one behind the last. Without one: nobody.
     """
 
     xs: F64
@@ -84,6 +88,9 @@ class Scene(NamedTuple):
     response: F32
     dark: F32
     exposure_s: float
+    row_starts: F64
+    row_span: float
+    lit: I32
 
 
 @njit(nogil=True, error_model="numpy")
@@ -105,6 +112,9 @@ def add_stars(x0: int, y0: int, scene: Scene, near: I32, share_x: F64, share_y: 
     near: the stars to look at, `stars_near` of a rectangle that holds this one. share_x, share_y: scratch,
     as long as signal is wide and high.
     """
+    if scene.row_span > 0.0:
+        _add_stars_row_by_row(x0, y0, scene, near, share_x, share_y, signal)
+        return
     xs, ys, light, box, table = scene.xs, scene.ys, scene.light, scene.box, scene.phi_table
     x1, y1 = x0 + signal.shape[1], y0 + signal.shape[0]
     steps = xs.shape[1]
@@ -128,6 +138,117 @@ def add_stars(x0: int, y0: int, scene: Scene, near: I32, share_x: F64, share_y: 
                 row_light = each * share_y[r - r0]
                 for c in range(c0, c1):
                     signal[r - y0, c - x0] += np.float32(row_light * share_x[c - c0])
+
+
+@njit(nogil=True, error_model="numpy")
+def _add_stars_row_by_row(
+    x0: int, y0: int, scene: Scene, near: I32, share_x: F64, share_y: F64, signal: F32
+) -> None:
+    """As `add_stars`, each row in its own exposure.
+
+    A row gets of a sub-step's light the part in which it is exposed. Where that is the whole sub-step, the
+    star stands in the sub-step's middle; else in the middle of that part.
+    """
+    xs, ys, light, box, table = scene.xs, scene.ys, scene.light, scene.box, scene.phi_table
+    row_starts, row_span = scene.row_starts, scene.row_span
+    x1, y1 = x0 + signal.shape[1], y0 + signal.shape[0]
+    rows = row_starts.shape[0]
+    inverse_sigma = 1.0 / scene.sigma_px
+    reach = SUPPORT_SIGMA * scene.sigma_px
+    for k in near:
+        if box[k, 0] >= x1 or box[k, 2] <= x0 or box[k, 1] >= y1 or box[k, 3] <= y0:
+            continue
+        each = light[k] / row_span
+        for s in range(scene.lit[k, 0], scene.lit[k, 1]):
+            xa, xb, ya, yb = xs[k, s], xs[k, s + 1], ys[k, s], ys[k, s + 1]
+            first = math.floor(min(ya, yb) - reach + 0.5)
+            end = math.floor(max(ya, yb) + reach + 0.5) + 1
+            if first >= y1 or end <= y0:
+                continue
+            first, end = max(first, 0), min(end, rows)
+            begins, ends = np.float64(s), s + 1.0
+            if row_starts[first] >= ends or row_starts[end - 1] + row_span <= begins:
+                continue
+            # whole: all the rows in reach are exposed for the whole sub-step
+            whole = row_starts[end - 1] <= begins and row_starts[first] + row_span >= ends
+            x, y = 0.5 * (xa + xb), 0.5 * (ya + yb)
+            c0 = max(math.floor(x - reach + 0.5), x0)
+            c1 = min(math.floor(x + reach + 0.5) + 1, x1)
+            r0 = max(math.floor(y - reach + 0.5), y0)
+            r1 = min(math.floor(y + reach + 0.5) + 1, y1)
+            if c0 < c1 and r0 < r1:
+                _shares(c0, c1, x, inverse_sigma, table, share_x)
+                _shares(r0, r1, y, inverse_sigma, table, share_y)
+                for r in range(r0, r1):
+                    if whole or (row_starts[r] <= begins and row_starts[r] + row_span >= ends):
+                        row_light = each * share_y[r - r0]
+                        row = signal[r - y0, c0 - x0 : c1 - x0]
+                        for c in range(row.shape[0]):
+                            row[c] += np.float32(row_light * share_x[c])
+            if whole:
+                continue
+            for r in range(max(first, y0), min(end, y1)):
+                if row_starts[r] <= begins and row_starts[r] + row_span >= ends:
+                    continue
+                since = max(row_starts[r] - begins, 0.0)
+                until = min(row_starts[r] + row_span - begins, 1.0)
+                if until <= since:
+                    continue
+                at = 0.5 * (since + until)
+                x, y = xa + at * (xb - xa), ya + at * (yb - ya)
+                c0 = max(math.floor(x - reach + 0.5), x0)
+                c1 = min(math.floor(x + reach + 0.5) + 1, x1)
+                if c0 >= c1 or abs(r - y) > reach + 0.5:
+                    continue
+                _shares(c0, c1, x, inverse_sigma, table, share_x)
+                _shares(r, r + 1, y, inverse_sigma, table, share_y)
+                row_light = each * (until - since) * share_y[0]
+                for c in range(c0, c1):
+                    signal[r - y0, c - x0] += np.float32(row_light * share_x[c - c0])
+
+
+@njit(nogil=True, error_model="numpy")
+def seen_places(scene: Scene) -> tuple[F64, F64, F64]:
+    """(mean x_px [n], mean y_px, electrons) of each star's light as the rows of a rolling shutter see it.
+
+    A star that no row sees has no electrons and no place. Rows go on beyond the image's edges.
+    """
+    xs, ys, row_starts, row_span = scene.xs, scene.ys, scene.row_starts, scene.row_span
+    n = xs.shape[0]
+    x, y, electrons = np.zeros(n), np.zeros(n), np.zeros(n)
+    inverse_sigma = 1.0 / scene.sigma_px
+    reach = SUPPORT_SIGMA * scene.sigma_px
+    row_step = row_starts[-1] / max(row_starts.shape[0] - 1, 1)
+    for k in range(n):
+        for s in range(scene.lit[k, 0], scene.lit[k, 1]):
+            xa, xb, ya, yb = xs[k, s], xs[k, s + 1], ys[k, s], ys[k, s + 1]
+            first = math.floor(min(ya, yb) - reach + 0.5)
+            end = math.floor(max(ya, yb) + reach + 0.5) + 1
+            if first * row_step >= s + 1.0 or (end - 1) * row_step + row_span <= s:
+                continue
+            if (end - 1) * row_step <= s and first * row_step + row_span >= s + 1.0:
+                x[k] += 0.5 * (xa + xb)
+                y[k] += 0.5 * (ya + yb)
+                electrons[k] += 1.0
+                continue
+            for r in range(first, end):
+                since = max(r * row_step - s, 0.0)
+                until = min(r * row_step + row_span - s, 1.0)
+                if until <= since:
+                    continue
+                at = 0.5 * (since + until)
+                middle = (r - ya - at * (yb - ya)) * inverse_sigma
+                half = 0.5 * inverse_sigma
+                share = phi(middle + half, scene.phi_table) - phi(middle - half, scene.phi_table)
+                part = (until - since) * share
+                x[k] += part * (xa + at * (xb - xa))
+                y[k] += part * r
+                electrons[k] += part
+        if electrons[k] > 0.0:
+            x[k] /= electrons[k]
+            y[k] /= electrons[k]
+            electrons[k] *= scene.light[k] / row_span
+    return x, y, electrons
 
 
 @njit(nogil=True, error_model="numpy")
