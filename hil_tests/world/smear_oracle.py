@@ -36,9 +36,9 @@ def integrated(
     lasts_ns = exposure_ns + int(row_starts_ns[-1])
     at_ns = (np.arange(samples) + 0.5) * lasts_ns / samples
     attitudes = trajectory.q_icrs_to_sensor(start_ns + at_ns.astype(np.int64))
-    places = np.array([camera.project(quaternion.rotate(q, direction))[:2] for q in attitudes])
-    across = shares(camera.width_px, places[:, 0], camera.psf_sigma_px)
-    down = shares(camera.height_px, places[:, 1], camera.psf_sigma_px)
+    x_px, y_px, _ = camera.project(quaternion.rotate(attitudes, direction))
+    across = shares(camera.width_px, x_px, camera.psf_sigma_px)
+    down = shares(camera.height_px, y_px, camera.psf_sigma_px)
     part_s = lasts_ns / samples * 1e-9
     # how much of each part of the time each row is exposed
     begin, end = at_ns - lasts_ns / samples / 2, at_ns + lasts_ns / samples / 2

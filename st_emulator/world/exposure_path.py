@@ -2,7 +2,8 @@
 
 The camera may do anything in an exposure: turn evenly, start a slew, shake. Its path is looked at at 5 even
 instants, and at probes that are a little off even distances, so that no vibration stands still in them. The
-probes are doubled until the path through them grows no more. An even motion has as many sub-steps as its
+probes are doubled until the path through them grows no more. (A trajectory whose attribute ``turns_evenly``
+is True says that there is nothing to look for.) An even motion has as many sub-steps as its
 path through the 5 instants asks for; another one as many as its fastest part. What comes and goes again
 within 1/64 of the exposure, once, may be missed.
 """
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 
 MAX_STEP_PX = 0.5
 _MAX_STEPS = 1024  # an exposure's length; a rolling shutter's frame lasts longer and may have more
+_SHORT_STEPS = 32
 _KNOTS = 5
 _PROBES = 65
 _MOST_PROBES = 8193
@@ -38,6 +40,8 @@ class Sight(NamedTuple):
 
     focal_px: float
     corner: float  # tangent of the angle between the boresight and the image's corner
+    max_step_px: float = MAX_STEP_PX  # no star is to move by more in a sub-step
+    short_step_px: float = MAX_STEP_PX  # the same of a path of up to _SHORT_STEPS of these
 
 
 class ExposurePath(NamedTuple):
@@ -46,6 +50,7 @@ class ExposurePath(NamedTuple):
     attitudes [n, 4]: q_icrs_to_sensor of the ``steps`` equal sub-steps: at their middles, or with
     ``at_ends`` where they begin and end (n = steps + 1). at_middle: at the middle of the time. across_rad:
     the boresight's path. even: the motion is so even that a star's light is spread evenly along its path.
+    step_px: no star moves by more in a sub-step.
     """
 
     attitudes: Array
@@ -53,6 +58,7 @@ class ExposurePath(NamedTuple):
     steps: int
     across_rad: float
     even: bool
+    step_px: float
 
 
 def exposure_path(
@@ -61,28 +67,32 @@ def exposure_path(
     """Of the time from start_ns to start_ns + exposure_ns + later_ns.
 
     later_ns: from the start of the first row's exposure to that of the last one. No star moves by more than
-    MAX_STEP_PX in a sub-step, or by twice that in the fastest part of an even motion.
+    sight.max_step_px in a sub-step, or by twice that in the fastest part of an even motion.
     """
     lasts_ns = exposure_ns + later_ns
     knots = start_ns + (np.arange(_KNOTS) * lasts_ns) // (_KNOTS - 1)
     q = trajectory.q_icrs_to_sensor(knots)
     across, about = turned(q)
     path_px = _path_px(across, about, sight)
-    probed_px, fastest_px, probed_across = _probed(trajectory, start_ns, lasts_ns, sight)
-    even = fastest_px <= _UNEVEN_SHARE * path_px + _UNEVEN_PX
-    if not even:
-        across = max(across, probed_across)
-        path_px = fastest_px
+    even = True
+    if not getattr(trajectory, "turns_evenly", False):
+        fastest_px, probed_across = _probed(trajectory, start_ns, lasts_ns, sight)
+        even = fastest_px <= _UNEVEN_SHARE * path_px + _UNEVEN_PX
+        if not even:
+            across = max(across, probed_across)
+            path_px = fastest_px
     most = math.ceil(_MAX_STEPS * lasts_ns / exposure_ns)
-    steps = min(max(math.ceil(path_px / MAX_STEP_PX), 1), most)
+    short = min(math.ceil(path_px / sight.short_step_px), _SHORT_STEPS)
+    steps = min(max(math.ceil(path_px / sight.max_step_px), short, 1), most)
+    step_px = (_UNEVEN_SHARE * path_px + _UNEVEN_PX) / steps
     middle = q[_KNOTS // 2]
     if at_ends:
         times = start_ns + (np.arange(steps + 1) * lasts_ns) // steps
-        return ExposurePath(trajectory.q_icrs_to_sensor(times), middle, steps, across, even)
+        return ExposurePath(trajectory.q_icrs_to_sensor(times), middle, steps, across, even, step_px)
     if steps == 1:
-        return ExposurePath(q[_KNOTS // 2 : _KNOTS // 2 + 1], middle, 1, across, even)
+        return ExposurePath(q[_KNOTS // 2 : _KNOTS // 2 + 1], middle, 1, across, even, step_px)
     times = start_ns + ((2 * np.arange(steps) + 1) * lasts_ns) // (2 * steps)
-    return ExposurePath(trajectory.q_icrs_to_sensor(times), middle, steps, across, even)
+    return ExposurePath(trajectory.q_icrs_to_sensor(times), middle, steps, across, even, step_px)
 
 
 def _path_px(across: float, about: float, sight: Sight) -> float:
@@ -90,8 +100,8 @@ def _path_px(across: float, about: float, sight: Sight) -> float:
     return sight.focal_px * (across * (1.0 + sight.corner * sight.corner) + about * sight.corner)
 
 
-def _probed(trajectory: Trajectory, start_ns: int, lasts_ns: int, sight: Sight) -> tuple[float, float, float]:
-    """(length of the path, what it were if all went as fast as the fastest part: px; boresight's path: rad)."""
+def _probed(trajectory: Trajectory, start_ns: int, lasts_ns: int, sight: Sight) -> tuple[float, float]:
+    """(length in px if all of the path were as fast as its fastest part, the boresight's path in rad)."""
     n = _PROBES
     while True:
         times = np.minimum(_unit_times(n) * lasts_ns, lasts_ns).astype(np.int64)
@@ -99,7 +109,7 @@ def _probed(trajectory: Trajectory, start_ns: int, lasts_ns: int, sight: Sight) 
         length, fastest, across = _measured(q, times, sight.focal_px, sight.corner, 1)
         half, _, _ = _measured(q, times, sight.focal_px, sight.corner, 2)
         if length <= half * (1.0 + _MORE_SHARE) + _MORE_PX or n >= _MOST_PROBES:
-            return length, fastest * lasts_ns, across
+            return fastest * lasts_ns, across
         n = 2 * n - 1
 
 

@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from . import noise, point_spread, quaternion, time_scales
 from .bodies import Body, ObserverState, Stray
 from .camera import CameraModel
-from .exposure_path import Sight, exposure_path
+from .exposed_rows import share_table
+from .exposure_path import MAX_STEP_PX, Sight, exposure_path
 from .false_spots import FalseSpots
-from .star_index import image_paths, star_index_of
+from .star_index import PATH_BLOCK, image_paths, star_index_of
 from .stars import SPEED_OF_LIGHT_KM_S, StarField
 from .trajectory import Trajectory
 from .truth_record import TrueStar, TruthRecord
@@ -129,6 +130,7 @@ class SceneRenderer:
         parallax: bool = False,
         bodies: Sequence[Body] = (),
         false_spots: FalseSpots | None = None,
+        quick_light: bool = False,
     ) -> None:
         """start_tai_ns: TAI ns since 1958-01-01 at virtual time 0 (default: 2026-01-01T00:00:00 UTC).
 
@@ -136,9 +138,11 @@ class SceneRenderer:
         trajectory's own) puts them; the true attitude is the geometric one, ICRS to sensor, whatever this
         says. parallax: directions from the observer instead of from the barycentre (under 0.8 arcsec, mostly
         far less). bodies: what may blind the camera: `bodies.Sun`, `Moon`, `Earth`. seed: of all noise and
-        the fixed pattern.
+        the fixed pattern. quick_light: a global shutter's light comes as a rolling shutter's always does (see
+        `exposed_rows`): 5e-6 of a star's light off, but several times as fast where stars are drawn out.
         """
         self.camera = camera
+        self._by_rows = quick_light or camera.rolling_readout_ns > 0
         self.stars = stars
         self.trajectory = trajectory
         self.seed = int(seed)
@@ -152,9 +156,16 @@ class SceneRenderer:
             -0.4 * self._index.hp_mag.astype(np.float64)
         )
         self._half_diagonal_rad = camera.half_diagonal_rad()
-        self._sight = Sight(camera.focal_px, math.tan(min(self._half_diagonal_rad, 1.4)))
-        self._row_starts_ns = camera.row_starts_ns.astype(np.float64)
         self._reach_px = point_spread.SUPPORT_SIGMA * camera.psf_sigma_px
+        self._sight = Sight(
+            camera.focal_px,
+            math.tan(min(self._half_diagonal_rad, 1.4)),
+            *(_steps_by_rows_px(camera.psf_sigma_px) if self._by_rows else (MAX_STEP_PX, MAX_STEP_PX)),
+        )
+        self._share_table = share_table(float(camera.psf_sigma_px), self._reach_px)
+        if self._by_rows:
+            self._reach_px = self._share_table.shape[1] / 2.0  # all that the table lights
+        self._row_starts_ns = camera.row_starts_ns.astype(np.float64)
         cx, cy = camera.principal_point_px
         self._optics = np.array(
             [
@@ -253,10 +264,10 @@ class SceneRenderer:
         camera = self.camera
         start, middle, exposure = frame.exposure_start_ns, frame.exposure_mid_ns, frame.exposure_ns
         exposure_s = exposure * 1e-9
-        rolling, later = camera.rolling_readout_ns > 0, camera.last_row_start_ns
-        path = exposure_path(self.trajectory, start, exposure, later, self._sight, rolling)
+        later = camera.last_row_start_ns
+        path = exposure_path(self.trajectory, start, exposure, later, self._sight, self._by_rows)
         row_step = row_span = 0.0
-        if rolling:
+        if self._by_rows:
             steps_per_ns = path.steps / (exposure + later)
             row_step = camera.rolling_readout_ns / camera.height_px * steps_per_ns
             row_span = exposure * steps_per_ns
@@ -298,6 +309,7 @@ class SceneRenderer:
             spots_light,
             row_step,
             row_span,
+            PATH_BLOCK * path.step_px + 2.0,
         )
         columns, rows = _glow(strays, attitude, camera, exposure_s)
         return _Light(
@@ -350,6 +362,7 @@ class SceneRenderer:
             row_starts=self._row_starts_ns * (light.row_span / frame.exposure_ns),
             row_span=light.row_span,
             lit=light.lit,
+            share_table=self._share_table,
         )
 
     def _pixels(self, frame: RenderedFrame, rects: NDArray[np.int32]) -> tuple[U16, NDArray[np.int64]]:
@@ -358,6 +371,12 @@ class SceneRenderer:
         key = noise.stream_key(self.seed, noise.STREAM_FRAME, frame.frame_index)
         point_spread.render(rects, self._scene(frame), key, noise.NORMAL_TABLE, self._detector, offsets, out)
         return out, offsets
+
+
+def _steps_by_rows_px(sigma_px: float) -> tuple[float, float]:
+    """(longest step, that of a short path). A step of one sigma leaves ripples of 1e-8 in a streak; its ends
+    are cut where the rows' exposures are, and show in a short one."""
+    return min(max(MAX_STEP_PX, sigma_px), 1.0), 0.5 * MAX_STEP_PX
 
 
 def _glow(

@@ -88,6 +88,7 @@ def light(
         row_starts=np.empty(0),
         row_span=0.0,
         lit=np.empty((0, 2), np.int32),
+        share_table=np.empty((0, 0), np.float32),
     )
 
 

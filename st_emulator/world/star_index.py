@@ -14,6 +14,7 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 _CELL_DEG = 6.0
+PATH_BLOCK = 8
 
 
 class StarIndex:
@@ -196,6 +197,7 @@ def image_paths(
     false_spots: F64,
     row_step: float,
     row_span: float,
+    block_px: float,
 ) -> tuple[I32, F64, F64, F64, I32, I32, F64]:
     """Where the chosen stars' light falls: the stars whose light touches the image, in the order given.
 
@@ -206,7 +208,8 @@ def image_paths(
     more than there are sub-steps). at_middle: at mid-exposure. optics: [width, height, focal, cx, cy, k1,
     k2, p1, p2]. false_spots [m, 3]: x_px, y_px, electrons in the exposure; they stand still and come after
     the stars with the number -1. row_step, row_span: of a rolling shutter, in sub-steps, from the start of a
-    row to that of the next one, and the length of the exposure; row_span 0: a global shutter.
+    row to that of the next one, and the length of the exposure; row_span 0: a global shutter. block_px: no
+    star moves by more in PATH_BLOCK sub-steps.
 
     Returns (number int32[n], x_px float64[n, points], y_px, electrons in the exposure float64[n], box
     int32[n, 4], lit int32[n, 2], middle float64[n, 2]): box is x0, y0, x1, y1, half-open, of the pixels
@@ -253,7 +256,14 @@ def image_paths(
             uy = inverse_gamma * uy + along * beta[1]
             uz = inverse_gamma * uz + along * beta[2]
             ahead = True
-            for s in range(points):
+            from_point, to_point = 0, points
+            if rolling:
+                from_point, to_point, ahead = _points_needed(
+                    matrices, points, ux, uy, uz, optics, reach_px + block_px, row_step, row_span
+                )
+                if from_point == to_point:
+                    continue
+            for s in range(from_point, to_point):
                 px, py, ahead = _project(matrices[s], ux, uy, uz, optics)
                 if not ahead:
                     break
@@ -268,10 +278,13 @@ def image_paths(
                 false_spots[k - chosen.shape[0], 2],
             )
             xs[n], ys[n] = px, py
+            from_point, to_point = 0, points
             middle[n, 0], middle[n, 1] = px, py
         lit[n, 0], lit[n, 1] = 0, points
         if rolling:
-            lit[n, 0], lit[n, 1] = _lit_steps(ys[n], reach_px, row_step, row_span, height)
+            lit[n, 0], lit[n, 1] = _lit_steps(
+                ys[n], from_point, to_point - 1, reach_px, row_step, row_span, height
+            )
         low_x = low_y = 1e9
         high_x = high_y = -1e9
         for s in range(lit[n, 0], min(lit[n, 1] + (1 if rolling else 0), points)):
@@ -299,14 +312,46 @@ def image_paths(
 
 
 @njit(nogil=True, error_model="numpy")
-def _lit_steps(y: F64, reach_px: float, row_step: float, row_span: float, height: int) -> tuple[int, int]:
-    """The first sub-step in which a rolling shutter exposes a row that the star touches, and the one behind
-    the last; y [steps + 1] at the ends of the sub-steps. It may begin a row too early and end one too late.
+def _points_needed(
+    matrices: F64,
+    points: int,
+    ux: float,
+    uy: float,
+    uz: float,
+    optics: F64,
+    margin_px: float,
+    row_step: float,
+    row_span: float,
+) -> tuple[int, int, bool]:
+    """(first, end, whether all that was looked at is ahead): the points of a star's path, of which every
+    PATH_BLOCK-th is looked at, between which it may light a row; margin_px: so far off light reaches a point.
     """
-    steps = y.shape[0] - 1
-    first, end = steps, 0
+    width, height = optics[0], optics[1]
+    first, end = points, 0
+    for block in range(0, points - 1, PATH_BLOCK):
+        last = min(block + PATH_BLOCK, points - 1)
+        px, py, ahead = _project(matrices[(block + last) // 2], ux, uy, uz, optics)
+        if not ahead:
+            return 0, 0, False
+        lowest = max((block - row_span) / row_step - 1.0, 0.0)
+        highest = min(last / row_step + 1.0, height)
+        if -margin_px <= px <= width + margin_px and py + margin_px >= lowest and py - margin_px <= highest:
+            first = min(first, block)
+            end = last + 1
+    return first, max(end, first), True
+
+
+@njit(nogil=True, error_model="numpy")
+def _lit_steps(
+    y: F64, first_point: int, last_point: int, reach_px: float, row_step: float, row_span: float, height: int
+) -> tuple[int, int]:
+    """The first sub-step in which a rolling shutter exposes a row that the star touches, and the one behind
+    the last; y [steps + 1] at the ends of the sub-steps, known from first_point to last_point. It may begin a
+    row too early and end one too late.
+    """
+    first, end = last_point, first_point
     far = reach_px + 1.5
-    for s in range(steps):
+    for s in range(first_point, last_point):
         # the rows from lowest to highest that are exposed at some time in the sub-step
         lowest = max((s - row_span) / row_step - 1.0, 0.0)
         highest = min((s + 1.0) / row_step + 1.0, height - 1.0)
