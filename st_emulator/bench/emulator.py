@@ -86,7 +86,7 @@ class Exposure:
 
     @property
     def end_ns(self) -> int:
-        return self.record.start_ns + self.record.exposure_ns
+        return self.record.exposure_end_ns
 
 
 class Emulator:

@@ -20,10 +20,11 @@ def synchronised_context(
         t_mid_ns=frame.exposure_mid_ns,
         exposure_ns=frame.exposure_ns,
         tai_ns=start_tai_ns + frame.exposure_mid_ns,
+        row_time_s=frame.row_time_s,
     )
 
 
-def undated_context(exposure_ns: int) -> FrameContext:
+def undated_context(exposure_ns: int, row_time_s: float = 0.0) -> FrameContext:
     """A single picture's, lost in space, whose time nobody knows: no stellar aberration is corrected."""
     return FrameContext(
         frame_index=0,
@@ -31,4 +32,5 @@ def undated_context(exposure_ns: int) -> FrameContext:
         t_mid_ns=exposure_ns // 2,
         exposure_ns=exposure_ns,
         tai_ns=None,
+        row_time_s=row_time_s,
     )

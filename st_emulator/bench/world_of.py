@@ -57,6 +57,7 @@ def camera_model(profile: UnitProfile) -> CameraModel:
             bits=detector.bits,
             offset_dn=detector.offset_dn,
             exposure_ns=round(profile.timing.exposure_ms * 1_000_000),
+            rolling_readout_ns=profile.rolling_readout_ns,
             dark_electrons_s=detector.dark_electrons_s,
             dark_nonuniformity=detector.dark_nonuniformity,
             stray_electrons_s=detector.stray_electrons_s,

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from ..firmware_model.image.detection import DetectionParameters, detect
 from ..report import TextTable, check
 from ..units.profile import UnitProfile
-from ..world.scene import RenderedFrame, TrueStar
+from ..world.scene import RenderedFrame
 from ..world.slew import RateAxis, SlewTrajectory
+from ..world.truth_record import TrueStar
 from .bench import Chain, random_pointings
 from .campaign import CampaignRequest, CampaignResult
 from .confidence import Z_95, share

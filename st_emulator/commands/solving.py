@@ -37,7 +37,7 @@ def solve_image(image: Path, unit: str, json_path: str | None, picture: Path | N
     check_inputs(profile, Scenario())
     frame = RecordedFrames([image], profile.detector.columns, profile.detector.rows)[0]
     configuration = firmware_configuration(profile, default_parameters(profile))
-    context = undated_context(configuration.exposure_ns)
+    context = undated_context(configuration.exposure_ns, profile.row_time_s)
     result = process_frame(frame, context, FirmwareState.initial(), configuration, star_tables(profile))
     cycles = processor_profile(profile).cycles(result.work)
     figures: dict[str, object] = {"image": str(image), "unit": profile.name, "valid": result.valid}

@@ -7,6 +7,10 @@ counts into a frame. ASSUMED: all of it, although some is done while the process
 A frame that needs more cycles than its budget is late, and a frame whose read-out finds the processor still
 busy is dropped. Without overlap (``pipelined`` 0) a frame is not even exposed while the processor is busy.
 
+The rows of a rolling shutter are exposed one after the other: its frames may overlap, a row beginning its
+exposure of the next frame when that of the frame before ends. What becomes of a frame that begins while the
+one before still is exposed is settled when that one has been read out.
+
 The computation itself is started at the exposure start (beside the loop in real time) and joined when its
 processing starts in virtual time, so no telecommand waits for pixels and the results do not depend on the
 computer's speed.
@@ -14,6 +18,7 @@ computer's speed.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -71,7 +76,11 @@ class FrameSettings:
 
 @dataclass
 class FrameRecord:
-    """One frame from its exposure to its result."""
+    """One frame from its exposure to its result.
+
+    exposure_ns: of each row; last_row_start_ns: when the last row's begins, after start_ns (0: a global
+    shutter).
+    """
 
     index: int
     start_ns: int
@@ -89,10 +98,22 @@ class FrameRecord:
     late_ns: int = 0
     dropped_before: int = 0
     drop_cause: FrameDropCause | None = None
+    last_row_start_ns: int = 0
+
+    @property
+    def exposed_ns(self) -> int:
+        """When it was exposed: the middle, of a rolling shutter that of the middle of its rows."""
+        return self.start_ns + (self.exposure_ns + self.last_row_start_ns) // 2
 
     @property
     def mid_exposure_ns(self) -> int:
-        return self.start_ns + self.exposure_ns // 2
+        """The same, as it is told."""
+        return self.exposed_ns
+
+    @property
+    def exposure_end_ns(self) -> int:
+        """Of the last row."""
+        return self.start_ns + self.last_row_start_ns + self.exposure_ns
 
 
 class ImagingClient(Protocol):
@@ -135,18 +156,26 @@ class Imaging:
         *,
         period_ns: int,
         readout_ns: int,
+        last_row_start_ns: int = 0,
+        row_time_s: float = 0.0,
         submit: Submit = Lazy,
     ) -> None:
+        """last_row_start_ns, row_time_s: of a rolling shutter, when the last row's exposure begins, and from
+        the start of a row to that of the next one; 0: a global shutter.
+        """
         self._clock = clock
         self._source = source
         self._client = client
         self.period_ns = period_ns
         self._readout_ns = readout_ns
+        self._last_row_start_ns = last_row_start_ns
+        self._row_time_s = row_time_s
         self._submit = submit
         self._epoch = 0
         self._acquisition: Mode | None = None
         self._state = FirmwareState.initial()
         self._previous: FrameRecord | None = None
+        self._waiting: deque[FrameRecord] = deque()  # for the read-out of the previous frame
         self._dropped_since = 0
         self._capture_wanted = False
         self._next_tick: ScheduledEvent | None = None
@@ -181,6 +210,7 @@ class Imaging:
         self._epoch += 1
         self._acquisition = None
         self._previous = None
+        self._waiting.clear()
         self._dropped_since = 0
 
     def capture(self) -> None:
@@ -230,12 +260,14 @@ class Imaging:
             epoch=self._epoch,
             acquisition=None,
             pixels=None,
+            last_row_start_ns=self._last_row_start_ns,
         )
         previous = self._previous
-        if self._acquisition is not None and previous is not None:
+        overlaps = bool(self._waiting) or (previous is not None and previous.exposure_end_ns > start_ns)
+        if self._acquisition is not None and previous is not None and not overlaps:
             self._join(previous)  # its cycles and its state are needed from here on
-        busy_until_ns = previous.due_ns if previous is not None and previous.due_ns is not None else 0
-        if self._acquisition is not None and not settings.pipelined and busy_until_ns > start_ns:
+        busy = overlaps or self._busy_until_ns() > start_ns
+        if self._acquisition is not None and not settings.pipelined and busy:
             # No exposure at all: the processor has no time to start it.
             self._drop(record, FrameDropCause.PROCESSOR_BUSY, start_ns)
             return
@@ -247,10 +279,22 @@ class Imaging:
             self._clock.at(record.readout_end_ns, lambda: self._captured(record, number))
         if self._acquisition is None:
             return
+        if overlaps:
+            self._waiting.append(record)
+        else:
+            self._settle(record)
+
+    def _busy_until_ns(self) -> int:
+        """Until when the processor works on the previous frame, which is joined; 0: on none."""
+        previous = self._previous
+        return 0 if previous is None or previous.due_ns is None else previous.due_ns
+
+    def _settle(self, record: FrameRecord) -> None:
+        """What becomes of a frame that is exposed; the one before is joined."""
         if record.pixels is None:
             self._drop(record, FrameDropCause.NO_FRAME_FROM_SENSOR, record.readout_end_ns)
             return
-        if busy_until_ns > record.readout_end_ns:
+        if self._busy_until_ns() > record.readout_end_ns:
             self._drop(record, FrameDropCause.OVERRUN, record.readout_end_ns)
             return
         record.acquisition = self._acquisition
@@ -269,6 +313,7 @@ class Imaging:
             t_mid_ns=record.mid_exposure_ns,
             exposure_ns=record.exposure_ns,
             tai_ns=self._client.onboard_tai_ns(record.mid_exposure_ns),
+            row_time_s=self._row_time_s,
         )
         configuration = record.settings.configuration
         record.computation = self._submit(lambda: process_frame(frame, context, state, configuration, tables))
@@ -290,8 +335,11 @@ class Imaging:
         self._clock.at(max(record.due_ns, self._clock.now_ns), lambda: self._completed(record))
 
     def _processing_starts(self, record: FrameRecord) -> None:
-        if record.epoch == self._epoch:
-            self._join(record)
+        if record.epoch != self._epoch:
+            return
+        self._join(record)
+        while self._waiting and record is self._previous:
+            self._settle(self._waiting.popleft())
 
     def _completed(self, record: FrameRecord) -> None:
         if record.epoch == self._epoch:

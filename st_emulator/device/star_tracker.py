@@ -102,6 +102,8 @@ class StarTracker(Life):
             self,
             period_ns=profile.frame_period_ns,
             readout_ns=int(profile.timing.readout_ms * NS_PER_MS),
+            last_row_start_ns=profile.last_row_start_ns,
+            row_time_s=profile.row_time_s,
             submit=submit,
         )
         self.image_memory = ImageMemory(self.imaging, self._image_kept)

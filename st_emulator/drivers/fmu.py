@@ -257,10 +257,10 @@ class StarTrackerFmu(Fmi2Slave):  # type: ignore[misc]  # pythonfmu has no types
 
     def _take(self, fields: dict[str, Any], t_ns: int) -> None:
         assert self._emulator is not None
-        period_ns = self._emulator.profile.frame_period_ns
+        profile = self._emulator.profile
         mid_ns = (
-            fields["frame_index"] * period_ns
-            + fields["exposure_us"] * NS_PER_US // 2
+            fields["frame_index"] * profile.frame_period_ns
+            + (fields["exposure_us"] * NS_PER_US + profile.last_row_start_ns) // 2
             + self._emulator.device.powered_since_ns
         )
         for axis in "xyzw":

@@ -60,6 +60,13 @@ class Detector(Section):
     prnu: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     hot_pixel_fraction: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     hot_pixel_electrons_s: NonNegative = 0.0
+    shutter: Annotated[
+        Literal["global", "rolling"],
+        Field(
+            description="global: all rows are exposed at once; rolling: row y of n from y/n of "
+            "timing.readout_ms on, each as long as the exposure"
+        ),
+    ] = "global"
 
     @model_validator(mode="after")
     def _image_can_be_downloaded(self) -> Detector:
@@ -257,6 +264,21 @@ class UnitProfile(Section):
     @property
     def frame_period_ns(self) -> int:
         return self.timing.frame_period_ms * 1_000_000
+
+    @property
+    def rolling_readout_ns(self) -> int:
+        """Time over which the rows of a rolling shutter start, one after the other; 0: a global shutter."""
+        return round(self.timing.readout_ms * 1_000_000) if self.detector.shutter == "rolling" else 0
+
+    @property
+    def last_row_start_ns(self) -> int:
+        """When a rolling shutter's last row starts its exposure, after the first one; 0: a global shutter."""
+        return (self.detector.rows - 1) * self.rolling_readout_ns // self.detector.rows
+
+    @property
+    def row_time_s(self) -> float:
+        """From the start of a rolling shutter's row to that of the next one; 0: a global shutter."""
+        return self.rolling_readout_ns * 1e-9 / self.detector.rows
 
 
 def unit_names() -> list[str]:

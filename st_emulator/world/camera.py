@@ -33,6 +33,11 @@ class CameraModel:
 
     Read-out: charge is capped at full_well_electrons, Gaussian read_noise_electrons is added, and the number
     put out is floor(charge / electrons_per_dn + offset_dn + 1/2), clipped to 0 .. 2^bits - 1.
+
+    Shutter: with rolling_readout_ns 0 all rows are exposed at once. Else row y of n is exposed from
+    y rolling_readout_ns // n after the frame's start on, as long as every other. A frame's time is then that
+    of the middle of its rows' exposures: half the exposure and half the last
+    row's start after the frame's start.
     """
 
     width_px: int
@@ -46,6 +51,7 @@ class CameraModel:
     bits: int = 12
     offset_dn: float = 0.0
     exposure_ns: int = 200_000_000
+    rolling_readout_ns: int = 0
     dark_electrons_s: float = 0.0
     dark_nonuniformity: float = 0.0
     stray_electrons_s: float = 0.0
@@ -75,6 +81,21 @@ class CameraModel:
         assert self.cx_px is not None
         assert self.cy_px is not None
         return self.cx_px, self.cy_px
+
+    @property
+    def row_starts_ns(self) -> NDArray[np.int64]:
+        """When each row's exposure starts, from the frame's on, int64[height]; a global shutter: zeros."""
+        return np.arange(self.height_px, dtype=np.int64) * self.rolling_readout_ns // self.height_px
+
+    @property
+    def last_row_start_ns(self) -> int:
+        """When the last row's exposure starts, after the frame's start."""
+        return (self.height_px - 1) * self.rolling_readout_ns // self.height_px
+
+    @property
+    def row_time_s(self) -> float:
+        """From the start of a row to that of the next one; 0: a global shutter."""
+        return self.rolling_readout_ns * 1e-9 / self.height_px
 
     @property
     def maximum_dn(self) -> int:
@@ -150,6 +171,7 @@ _LIMITS: tuple[tuple[str, float, float], ...] = (
     ("bits", 1, 16),
     ("offset_dn", 0.0, 65535.0),
     ("exposure_ns", 1, 3_600_000_000_000),
+    ("rolling_readout_ns", 0, 3_600_000_000_000),
     ("dark_electrons_s", 0.0, 1e12),
     ("dark_nonuniformity", 0.0, 10.0),
     ("stray_electrons_s", 0.0, 1e12),

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .exposed_rows import add_stars_by_rows
 from .noise import digitise, normals_of, words_of
 
 F32 = NDArray[np.float32]
@@ -28,6 +29,7 @@ SUPPORT_SIGMA = 4.5
 _PER_SIGMA = 32.0
 _LIMIT = 7.0
 _STRIP_PIXELS = 8192
+_STAR_STRIP_PIXELS = 65536
 
 
 def _phi_table() -> F64:
@@ -70,6 +72,11 @@ class Scene(NamedTuple):
     sigma_px of the point spread; stray: electrons in the exposure, uniform; glow_columns float32[g, width],
     glow_rows float32[g, height]: g more layers of stray light, each the product of its column and row
     factors; response, dark: see `noise.fixed_pattern`; exposure_s.
+
+    row_starts float64[height], row_span: with a rolling shutter, when each row's exposure starts, and how
+    long it lasts, in sub-steps; xs, ys are then [n, steps + 1] at the ends of the sub-steps, and lit int32[n,
+    2] the first sub-step that matters for a star and the one behind the last; share_table: of
+    `exposed_rows`. row_span 0: all rows are exposed in all sub-steps, and these four are not looked at.
     """
 
     xs: F64
@@ -84,6 +91,10 @@ class Scene(NamedTuple):
     response: F32
     dark: F32
     exposure_s: float
+    row_starts: F64
+    row_span: float
+    lit: I32
+    share_table: F32
 
 
 @njit(nogil=True, error_model="numpy")
@@ -126,8 +137,53 @@ def add_stars(x0: int, y0: int, scene: Scene, near: I32, share_x: F64, share_y: 
             _shares(r0, r1, y, inverse_sigma, table, share_y)
             for r in range(r0, r1):
                 row_light = each * share_y[r - r0]
-                for c in range(c0, c1):
-                    signal[r - y0, c - x0] += np.float32(row_light * share_x[c - c0])
+                row = signal[r - y0, c0 - x0 : c1 - x0]
+                for c in range(row.shape[0]):
+                    row[c] += np.float32(row_light * share_x[c])
+
+
+@njit(nogil=True, error_model="numpy")
+def seen_places(scene: Scene) -> tuple[F64, F64, F64]:
+    """(mean x_px [n], mean y_px, electrons) of each star's light as the rows of a rolling shutter see it.
+
+    A star that no row sees has no electrons and no place. Rows go on beyond the image's edges.
+    """
+    xs, ys, row_starts, row_span = scene.xs, scene.ys, scene.row_starts, scene.row_span
+    n = xs.shape[0]
+    x, y, electrons = np.zeros(n), np.zeros(n), np.zeros(n)
+    inverse_sigma = 1.0 / scene.sigma_px
+    reach = SUPPORT_SIGMA * scene.sigma_px
+    row_step = row_starts[-1] / max(row_starts.shape[0] - 1, 1)
+    for k in range(n):
+        for s in range(scene.lit[k, 0], scene.lit[k, 1]):
+            xa, xb, ya, yb = xs[k, s], xs[k, s + 1], ys[k, s], ys[k, s + 1]
+            first = math.floor(min(ya, yb) - reach + 0.5)
+            end = math.floor(max(ya, yb) + reach + 0.5) + 1
+            if first * row_step >= s + 1.0 or (end - 1) * row_step + row_span <= s:
+                continue
+            if (end - 1) * row_step <= s and first * row_step + row_span >= s + 1.0:
+                x[k] += 0.5 * (xa + xb)
+                y[k] += 0.5 * (ya + yb)
+                electrons[k] += 1.0
+                continue
+            for r in range(first, end):
+                since = max(r * row_step - s, 0.0)
+                until = min(r * row_step + row_span - s, 1.0)
+                if until <= since:
+                    continue
+                at = 0.5 * (since + until)
+                middle = (r - ya - at * (yb - ya)) * inverse_sigma
+                half = 0.5 * inverse_sigma
+                share = phi(middle + half, scene.phi_table) - phi(middle - half, scene.phi_table)
+                part = (until - since) * share
+                x[k] += part * (xa + at * (xb - xa))
+                y[k] += part * r
+                electrons[k] += part
+        if electrons[k] > 0.0:
+            x[k] /= electrons[k]
+            y[k] /= electrons[k]
+            electrons[k] *= scene.light[k] / row_span
+    return x, y, electrons
 
 
 @njit(nogil=True, error_model="numpy")
@@ -154,7 +210,14 @@ def expose(rect: I32, scene: Scene) -> F32:
     """Mean electrons of the pixels of a rectangle (x0, y0, x1, y1, half-open): float32[rows, columns]."""
     w, h = rect[2] - rect[0], rect[3] - rect[1]
     signal = np.zeros((h, w), np.float32)
-    add_stars(rect[0], rect[1], scene, stars_near(rect, scene.box), np.empty(w), np.empty(h), signal)
+    near = stars_near(rect, scene.box)
+    if scene.row_span > 0.0:
+        margin = scene.share_table.shape[1]
+        wide = np.zeros((h + 2 * margin, w + 2 * margin), np.float32)
+        add_stars_by_rows(rect[0], rect[1], scene, near, wide)
+        signal[:] = wide[margin : margin + h, margin : margin + w]
+    else:
+        add_stars(rect[0], rect[1], scene, near, np.empty(w), np.empty(h), signal)
     add_background(rect[0], rect[1], scene, signal)
     return signal
 
@@ -171,14 +234,18 @@ def render(
 ) -> None:
     """What the detector puts out in each rectangle, row by row into out[offsets[i]:].
 
-    key: the frame's stream of noise; detector: `noise.detector_constants`. Works through strips of a
-    few rows, so that the working set stays in the processor's cache.
+    key: the frame's stream of noise; detector: `noise.detector_constants`. Works through strips of rows, so
+    that the working set stays in the processor's cache: high ones for the stars, of a few rows for the rest.
     """
     widest = 1
     highest = 1
     for i in range(rects.shape[0]):
         widest = max(widest, rects[i, 2] - rects[i, 0])
         highest = max(highest, rects[i, 3] - rects[i, 1])
+    by_rows = scene.row_span > 0.0
+    margin = scene.share_table.shape[1] if by_rows else 0
+    tall_rows = max(min(_STAR_STRIP_PIXELS // widest, highest), 1)
+    tall_room = np.empty((tall_rows + 2 * margin) * (widest + 2 * margin), np.float32)
     room = np.empty(max(_STRIP_PIXELS, widest), np.float32)
     share_x, share_y = np.empty(widest), np.empty(highest)
     words = np.empty(room.shape[0], np.uint64)
@@ -192,15 +259,27 @@ def render(
         at = offsets[i]
         near = stars_near(rects[i], scene.box)
         strip_rows = max(_STRIP_PIXELS // w, 1)
-        for top in range(y0, y1, strip_rows):
-            h = min(strip_rows, y1 - top)
-            signal = room[: h * w].reshape((h, w))
-            signal[:] = np.float32(0.0)
-            add_stars(x0, top, scene, near, share_x, share_y, signal)
-            add_background(x0, top, scene, signal)
-            for r in range(h):
-                words_of(key, (top + r) * image_width + x0, words[r * w : r * w + w])
-            n = h * w
-            normals_of(words[:n], normal_table, deviates[:n])
-            digitise(room[:n], words[:n], deviates[:n], normal_table, detector, out[at : at + n])
-            at += n
+        for tall_top in range(y0, y1, tall_rows):
+            tall = min(tall_rows, y1 - tall_top)
+            wide_w = w + 2 * margin
+            stars = tall_room[: (tall + 2 * margin) * wide_w].reshape((tall + 2 * margin, wide_w))
+            stars[:] = np.float32(0.0)
+            if by_rows:
+                add_stars_by_rows(x0, tall_top, scene, near, stars)
+            else:
+                add_stars(x0, tall_top, scene, near, share_x, share_y, stars)
+            for top in range(tall_top, tall_top + tall, strip_rows):
+                h = min(strip_rows, tall_top + tall - top)
+                n = h * w
+                flat = tall_room[(top - tall_top) * w : (top - tall_top) * w + n]
+                if by_rows:
+                    flat = room[:n]
+                    for r in range(h):
+                        lit = stars[margin + top - tall_top + r]
+                        flat[r * w : r * w + w] = lit[margin : margin + w]
+                add_background(x0, top, scene, flat.reshape((h, w)))
+                for r in range(h):
+                    words_of(key, (top + r) * image_width + x0, words[r * w : r * w + w])
+                normals_of(words[:n], normal_table, deviates[:n])
+                digitise(flat, words[:n], deviates[:n], normal_table, detector, out[at : at + n])
+                at += n

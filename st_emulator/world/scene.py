@@ -7,13 +7,10 @@ the full frame.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,70 +18,21 @@ from numpy.typing import ArrayLike, NDArray
 from . import noise, point_spread, quaternion, time_scales
 from .bodies import Body, ObserverState, Stray
 from .camera import CameraModel
+from .exposed_rows import share_table
+from .exposure_path import MAX_STEP_PX, Sight, exposure_path
 from .false_spots import FalseSpots
-from .star_index import image_paths, star_index_of, turned
+from .star_index import PATH_BLOCK, image_paths, star_index_of
 from .stars import SPEED_OF_LIGHT_KM_S, StarField
 from .trajectory import Trajectory
+from .truth_record import TrueStar, TruthRecord
 from .windows import checked_windows, cut_windows, window_offsets
 
 Array = NDArray[np.float64]
 U16 = NDArray[np.uint16]
 
-MAX_STEP_PX = 0.5
-_MAX_STEPS = 1024
-_PATH_KNOTS = 5
 # A star whose brightest pixel gets less than this fraction of the background's noise is left out.
 FAINTEST_SHARE_OF_NOISE = 0.05
 _NOWHERE = np.array([0.0, 0.0, 1.0, 2.0])  # occults nothing
-
-
-@dataclass(frozen=True)
-class TrueStar:
-    """A star whose middle of light falls into the image: hip number, where (mean over the exposure), Hp,
-    electrons."""
-
-    hip: int
-    x_px: float
-    y_px: float
-    hp_mag: float
-    electrons: float
-
-
-@dataclass(frozen=True)
-class TruthRecord:
-    """What is true of one frame; it goes to the journal of truth, never to the firmware.
-
-    Times in virtual ns; q_icrs_to_sensor [x, y, z, w] and rate_rad_s (sensor axes, relative to ICRS) at
-    mid-exposure; ra_deg, dec_deg, roll_deg the same attitude; sub_steps of the exposure's path; bodies: of
-    the Sun, Moon and Earth in the sky angle_deg (boresight to centre; Earth: to limb) and stray_electrons_s
-    at the boresight; position_km, velocity_km_s: geocentric, or None; stars: brightest first; false_spots
-    (x_px, y_px, magnitude).
-    """
-
-    frame_index: int
-    exposure_start_ns: int
-    exposure_mid_ns: int
-    exposure_end_ns: int
-    tai_ns: int
-    q_icrs_to_sensor: tuple[float, float, float, float]
-    rate_rad_s: tuple[float, float, float]
-    ra_deg: float
-    dec_deg: float
-    roll_deg: float
-    sub_steps: int
-    bodies: dict[str, dict[str, float]]
-    position_km: tuple[float, float, float] | None
-    velocity_km_s: tuple[float, float, float] | None
-    stars: tuple[TrueStar, ...]
-    false_spots: tuple[tuple[float, float, float], ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, lists and dictionaries, fit for JSON."""
-        return dataclasses.asdict(self)
-
-    def to_json(self) -> str:
-        """One line of JSON; every number survives the way there and back."""
-        return json.dumps(self.as_dict(), separators=(",", ":"))
 
 
 @dataclass(frozen=True)
@@ -96,6 +44,10 @@ class _Light:
     ys: Array
     electrons: Array
     box: NDArray[np.int32]
+    lit: NDArray[np.int32]
+    middle: Array
+    steps: int
+    row_span: float
     strays: tuple[Stray, ...]
     false_spots: Array
     stray_electrons: float
@@ -107,7 +59,8 @@ class RenderedFrame:
     """One exposure, rendered when and where asked: the frame interface that the firmware knows.
 
     width_px, height_px, bits; full(); windows(rects). Safe to use from another thread; keeps the full frame
-    once made.
+    once made. exposure_ns: of each row. row_time_s: a rolling shutter's row begins its exposure so much after
+    the row before; 0: a global shutter.
     """
 
     def __init__(
@@ -120,11 +73,18 @@ class RenderedFrame:
         self.width_px = renderer.camera.width_px
         self.height_px = renderer.camera.height_px
         self.bits = renderer.camera.bits
+        self.row_time_s = renderer.camera.row_time_s
         self._full: U16 | None = None
 
     @property
     def exposure_mid_ns(self) -> int:
-        return self.exposure_start_ns + self.exposure_ns // 2
+        """The frame's time: with a rolling shutter that of the middle of its rows."""
+        return self.exposure_start_ns + (self.exposure_ns + self._renderer.camera.last_row_start_ns) // 2
+
+    @property
+    def exposure_end_ns(self) -> int:
+        """Of the last row."""
+        return self.exposure_start_ns + self._renderer.camera.last_row_start_ns + self.exposure_ns
 
     @functools.cached_property
     def light(self) -> _Light:
@@ -170,6 +130,7 @@ class SceneRenderer:
         parallax: bool = False,
         bodies: Sequence[Body] = (),
         false_spots: FalseSpots | None = None,
+        quick_light: bool = False,
     ) -> None:
         """start_tai_ns: TAI ns since 1958-01-01 at virtual time 0 (default: 2026-01-01T00:00:00 UTC).
 
@@ -177,9 +138,11 @@ class SceneRenderer:
         trajectory's own) puts them; the true attitude is the geometric one, ICRS to sensor, whatever this
         says. parallax: directions from the observer instead of from the barycentre (under 0.8 arcsec, mostly
         far less). bodies: what may blind the camera: `bodies.Sun`, `Moon`, `Earth`. seed: of all noise and
-        the fixed pattern.
+        the fixed pattern. quick_light: a global shutter's light comes as a rolling shutter's always does (see
+        `exposed_rows`): 5e-6 of a star's light off, but several times as fast where stars are drawn out.
         """
         self.camera = camera
+        self._by_rows = quick_light or camera.rolling_readout_ns > 0
         self.stars = stars
         self.trajectory = trajectory
         self.seed = int(seed)
@@ -194,6 +157,15 @@ class SceneRenderer:
         )
         self._half_diagonal_rad = camera.half_diagonal_rad()
         self._reach_px = point_spread.SUPPORT_SIGMA * camera.psf_sigma_px
+        self._sight = Sight(
+            camera.focal_px,
+            math.tan(min(self._half_diagonal_rad, 1.4)),
+            *(_steps_by_rows_px(camera.psf_sigma_px) if self._by_rows else (MAX_STEP_PX, MAX_STEP_PX)),
+        )
+        self._share_table = share_table(float(camera.psf_sigma_px), self._reach_px)
+        if self._by_rows:
+            self._reach_px = self._share_table.shape[1] / 2.0  # all that the table lights
+        self._row_starts_ns = camera.row_starts_ns.astype(np.float64)
         cx, cy = camera.principal_point_px
         self._optics = np.array(
             [
@@ -243,11 +215,15 @@ class SceneRenderer:
         middle_ns = frame.exposure_mid_ns
         q = self.trajectory.q_icrs_to_sensor(middle_ns)
         ra, dec, roll = quaternion.pointing_from_quaternion(q)
-        x, y = light.xs.mean(axis=1), light.ys.mean(axis=1)
+        electrons = light.electrons
+        if light.row_span > 0.0:
+            x, y, electrons = point_spread.seen_places(self._scene(frame))
+        else:
+            x, y = light.xs.mean(axis=1), light.ys.mean(axis=1)
         inside = (np.abs(x + 0.5 - frame.width_px / 2) <= frame.width_px / 2) & (
             np.abs(y + 0.5 - frame.height_px / 2) <= frame.height_px / 2
         )
-        stars = np.flatnonzero(inside & (light.number >= 0))
+        stars = np.flatnonzero(inside & (light.number >= 0) & (electrons > 0.0))
         magnitudes = self._index.hp_mag[light.number[stars]]
         order = np.lexsort((light.number[stars], magnitudes))
         listed = stars[order][magnitudes[order] < limit_mag]
@@ -255,14 +231,14 @@ class SceneRenderer:
             frame_index=frame.frame_index,
             exposure_start_ns=frame.exposure_start_ns,
             exposure_mid_ns=middle_ns,
-            exposure_end_ns=frame.exposure_start_ns + frame.exposure_ns,
+            exposure_end_ns=frame.exposure_end_ns,
             tai_ns=self.start_tai_ns + middle_ns,
             q_icrs_to_sensor=(float(q[0]), float(q[1]), float(q[2]), float(q[3])),
             rate_rad_s=_triple(self.trajectory.rate_sensor(middle_ns)) or (0.0, 0.0, 0.0),
             ra_deg=ra,
             dec_deg=dec,
             roll_deg=roll,
-            sub_steps=int(light.xs.shape[1]),
+            sub_steps=light.steps,
             bodies={
                 stray.body: {"angle_deg": stray.angle_deg, "stray_electrons_s": stray.electrons_s}
                 for stray in light.strays
@@ -275,7 +251,9 @@ class SceneRenderer:
                     x_px=float(x[k]),
                     y_px=float(y[k]),
                     hp_mag=float(self._index.hp_mag[light.number[k]]),
-                    electrons=float(light.electrons[k]),
+                    electrons=float(electrons[k]),
+                    x_mid_px=float(light.middle[k, 0]),
+                    y_mid_px=float(light.middle[k, 1]),
                 )
                 for k in listed
             ),
@@ -286,8 +264,15 @@ class SceneRenderer:
         camera = self.camera
         start, middle, exposure = frame.exposure_start_ns, frame.exposure_mid_ns, frame.exposure_ns
         exposure_s = exposure * 1e-9
-        attitudes, at_middle, spread_rad = self._attitudes(start, exposure)
-        attitude = quaternion.attitude_matrix(at_middle)
+        later = camera.last_row_start_ns
+        path = exposure_path(self.trajectory, start, exposure, later, self._sight, self._by_rows)
+        row_step = row_span = 0.0
+        if self._by_rows:
+            steps_per_ns = path.steps / (exposure + later)
+            row_step = camera.rolling_readout_ns / camera.height_px * steps_per_ns
+            row_span = exposure * steps_per_ns
+        spread_rad = path.across_rad
+        attitude = quaternion.attitude_matrix(path.at_middle)
         boresight = attitude[2]
         observer = ObserverState.at(self.trajectory, middle, self.start_tai_ns)
         strays, occulting = [], _NOWHERE
@@ -301,13 +286,14 @@ class SceneRenderer:
         margin_rad = (
             (self._reach_px + 1.0) / camera.focal_px + spread_rad + 5e-4
         )  # 5e-4: aberration and parallax
+        path_rad = spread_rad * exposure / (exposure + later) if path.even else 0.0
         chosen = self._index.within(
-            boresight, self._half_diagonal_rad + margin_rad, self._limit_mag(exposure_s, spread_rad)
+            boresight, self._half_diagonal_rad + margin_rad, self._limit_mag(exposure_s, path_rad)
         )
         spots = self.false_spots.in_frame(self.seed, frame.frame_index, camera.width_px, camera.height_px)
         spots_light = spots.copy()
         spots_light[:, 2] = camera.electrons_per_s_mag0 * exposure_s * 10.0 ** (-0.4 * spots[:, 2])
-        number, xs, ys, electrons, box = image_paths(
+        number, xs, ys, electrons, box, lit, middles = image_paths(
             chosen,
             self._index.vectors,
             self._index.parallax_rad,
@@ -315,11 +301,15 @@ class SceneRenderer:
             place_au,
             beta,
             occulting,
-            attitudes,
+            path.attitudes,
+            path.at_middle,
             self._optics,
             self._reach_px,
             exposure_s,
             spots_light,
+            row_step,
+            row_span,
+            PATH_BLOCK * path.step_px + 2.0,
         )
         columns, rows = _glow(strays, attitude, camera, exposure_s)
         return _Light(
@@ -328,6 +318,10 @@ class SceneRenderer:
             ys,
             electrons,
             box,
+            lit,
+            middles,
+            path.steps,
+            row_span,
             tuple(strays),
             spots,
             camera.stray_electrons_s * exposure_s,
@@ -335,26 +329,9 @@ class SceneRenderer:
             rows,
         )
 
-    def _attitudes(self, start_ns: int, exposure_ns: int) -> tuple[Array, Array, float]:
-        """(attitudes [steps, 4] of the sub-steps' middles, that at mid-exposure, the boresight's path, rad).
-
-        No star moves by more than MAX_STEP_PX in a sub-step.
-        """
-        knots = start_ns + (np.arange(_PATH_KNOTS) * exposure_ns) // (_PATH_KNOTS - 1)
-        q = self.trajectory.q_icrs_to_sensor(knots)
-        across, about = turned(q)
-        corner = math.tan(min(self._half_diagonal_rad, 1.4))
-        # the image of a turn, at its largest, in a corner of the field
-        path_px = self.camera.focal_px * (across * (1.0 + corner * corner) + about * corner)
-        steps = min(max(math.ceil(path_px / MAX_STEP_PX), 1), _MAX_STEPS)
-        middle = _PATH_KNOTS // 2
-        if steps == 1:
-            return q[middle : middle + 1], q[middle], across
-        times = start_ns + ((2 * np.arange(steps) + 1) * exposure_ns) // (2 * steps)
-        return self.trajectory.q_icrs_to_sensor(times), q[middle], across
-
     def _limit_mag(self, exposure_s: float, path_rad: float) -> float:
-        """Stars from this magnitude on are left out, see FAINTEST_SHARE_OF_NOISE."""
+        """Stars from this magnitude on are left out, see FAINTEST_SHARE_OF_NOISE. path_rad: over which their
+        light is spread at least."""
         camera = self.camera
         background = (camera.stray_electrons_s + camera.dark_electrons_s) * exposure_s
         least = FAINTEST_SHARE_OF_NOISE * math.sqrt(background + camera.read_noise_electrons**2)
@@ -382,6 +359,10 @@ class SceneRenderer:
             response=self.response,
             dark=self.dark_electrons_s,
             exposure_s=frame.exposure_ns * 1e-9,
+            row_starts=self._row_starts_ns * (light.row_span / frame.exposure_ns),
+            row_span=light.row_span,
+            lit=light.lit,
+            share_table=self._share_table,
         )
 
     def _pixels(self, frame: RenderedFrame, rects: NDArray[np.int32]) -> tuple[U16, NDArray[np.int64]]:
@@ -390,6 +371,12 @@ class SceneRenderer:
         key = noise.stream_key(self.seed, noise.STREAM_FRAME, frame.frame_index)
         point_spread.render(rects, self._scene(frame), key, noise.NORMAL_TABLE, self._detector, offsets, out)
         return out, offsets
+
+
+def _steps_by_rows_px(sigma_px: float) -> tuple[float, float]:
+    """(longest step, that of a short path). A step of one sigma leaves ripples of 1e-8 in a streak; its ends
+    are cut where the rows' exposures are, and show in a short one."""
+    return min(max(MAX_STEP_PX, sigma_px), 1.0), 0.5 * MAX_STEP_PX
 
 
 def _glow(

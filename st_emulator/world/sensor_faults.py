@@ -56,7 +56,8 @@ def light(
     xs, ys float64[n, steps]: the paths of n spots of so many ``electrons`` each and the width sigma_px;
     glow_columns float64[g, width], glow_rows float64[g, height]: layers of electrons, each the product of its
     column and row factors; dark_electrons_s float32[height, width]: each pixel's own, in exposure_s.
-    ASSUMED: the response is that of a perfect pixel.
+    ASSUMED: the response is that of a perfect pixel; all rows see the paths at the same time, also those of a
+    rolling shutter.
     """
     none = np.empty((0, 1))
     xs, ys = (none, none) if xs is None or ys is None else (xs, ys)
@@ -84,6 +85,10 @@ def light(
         response=_constant(1.0, width_px, height_px),
         dark=zero if dark_electrons_s is None else dark_electrons_s,
         exposure_s=float(exposure_s),
+        row_starts=np.empty(0),
+        row_span=0.0,
+        lit=np.empty((0, 2), np.int32),
+        share_table=np.empty((0, 0), np.float32),
     )
 
 

@@ -80,6 +80,8 @@ class ConstantRateTrajectory:
     """A start attitude turned at a rate that is constant in sensor axes (so about an axis fixed in ICRS,
     too)."""
 
+    turns_evenly = True  # as `exposure_path` asks
+
     def __init__(
         self, q_start: ArrayLike, rate_rad_s: ArrayLike = (0.0, 0.0, 0.0), start_ns: int = 0
     ) -> None:

@@ -182,7 +182,9 @@ def _watch(master: Master) -> None:
         real, i = struct.unpack("<ff", parts[0x480 + node])
         j, k = struct.unpack("<ff", frame.data)
         started_ns = (t_ns - settled_ns) // period_ns * period_ns
-        middle_ns = started_ns + round(timing.exposure_ms * NS_PER_MS / 2)
+        middle_ns = (
+            started_ns + round(timing.exposure_ms * NS_PER_MS + session.profile.last_row_start_ns) // 2
+        )
         errors.append(boresight_error_arcsec((i, j, k, real), session.true_quaternion(middle_ns)))
         if len(errors) <= 3:
             session.say(f"  {t_ns / 1e9:8.3f} s  i {i:+.7f}  j {j:+.7f}  k {k:+.7f}  real {real:+.7f}")

@@ -166,7 +166,8 @@ def _cross_arcsec(session: DemoSession, settings: SagittaSettings, frame: Heard)
     exposure_ns = round(timing.exposure_ms * NS_PER_MS)
     readout_ns = round(timing.readout_ms * NS_PER_MS)
     number = (frame.t_ns - exposure_ns - readout_ns) // session.profile.frame_period_ns
-    mid_ns = number * session.profile.frame_period_ns + exposure_ns // 2
+    exposed_ns = (exposure_ns + session.profile.last_row_start_ns) // 2
+    mid_ns = number * session.profile.frame_period_ns + exposed_ns
     wanted = WireFrame(settings.boresight).of(session.true_quaternion(mid_ns))
     found = frame.values
     error = rotation_between(np.array(wanted), np.array([found[axis] for axis in "xyzw"]))

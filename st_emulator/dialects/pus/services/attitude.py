@@ -20,8 +20,8 @@ def attitude_fields(device: StarTracker, report: AttitudeReady) -> dict[str, Any
     An invalid report repeats the last valid attitude, so that a careless reader sees no jump.
     """
     record, result = report.record, report.record.result
-    exposed_ns = record.start_ns + record.exposure_ns // 2  # the time that is told may be a wrong one
-    latency_us = 0 if result is None else microseconds(device.clock.now_ns - exposed_ns)
+    # not from the time that is told, which may be a wrong one
+    latency_us = 0 if result is None else microseconds(device.clock.now_ns - record.exposed_ns)
     mode = device.mode if record.acquisition is None else record.acquisition
     frame: dict[str, Any] = {
         "frame_index": record.index,
