@@ -69,6 +69,24 @@ class CentroidError:
         )
         return np.asarray(np.sqrt(variance))
 
+    def streak_sigma_px(
+        self, flux_dn: FloatArray, noise_dn: float, length_px: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Expected errors along and across streaks of these lengths[n], which is ``sigma_px`` at length 0.
+
+        Photons spread evenly over the length L, L^2 / 12 along it; the window grows by the length.
+        """
+        flux = np.maximum(flux_dn, 1.0)
+        photons = 1.0 / (flux * self.electrons_per_dn)
+        noise = np.square(noise_dn / flux)
+        width = 2.0 * self.half_window_px + 1.0
+        longer = width + length_px
+        lever_along = width * longer * (np.square(longer) - 1.0) / 12.0
+        lever_across = width * longer * (width * width - 1.0) / 12.0
+        fixed = self.floor_px**2 + self.psf_sigma_px**2 * photons
+        along = fixed + np.square(length_px) / 12.0 * photons + lever_along * noise
+        return np.sqrt(along), np.sqrt(fixed + lever_across * noise)
+
 
 @dataclass(frozen=True)
 class FirmwareConfiguration:
