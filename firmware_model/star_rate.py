@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from .work import Work
 
-__all__ = ["StarRate", "rate_of_pairs", "turned_back"]
+__all__ = ["StarRate", "rate_of_pairs", "turned_later"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -215,7 +215,7 @@ def _solve(
     return True
 
 
-def turned_back(vectors: FloatArray, rate_rad_s: FloatArray, interval_s: FloatArray) -> FloatArray:
+def turned_later(vectors: FloatArray, rate_rad_s: FloatArray, interval_s: FloatArray) -> FloatArray:
     """Where stars stand in sensor axes so much later (negative: earlier), float64[n, 3]: by the full turn.
 
     vectors: float64[n, 3] unit vectors; interval_s: float64[n].

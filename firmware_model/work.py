@@ -132,6 +132,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("reference_angles", "tracking", "angle between the pivot and another predicted star computed"),
     ("pivots_tried", "tracking", "spot tried as the pivot's"),
     ("spots_assigned", "tracking", "distance of a spot to a predicted star computed"),
+    ("window_stars_paired", "tracking", "predicted star looked at for the one spot of its window"),
     # attitude
     ("qmethod_stars", "attitude", "star summed into the attitude profile matrix"),
     ("qmethod_solves", "attitude", "largest eigenvector of the 4 x 4 matrix"),
@@ -145,6 +146,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("rate_solves", "attitude", "angular rate from two attitudes"),
     ("star_rates", "attitude", "rate of unidentified stars begun: its code is in no cache"),
     ("rate_stars", "attitude", "pair of such stars summed into the equations of a rate and compared with it"),
+    ("streak_errors", "attitude", "expected errors of a streak's centroid, along it and across"),
     ("rate_least_squares", "attitude", "such equations solved"),
     ("rates_over_limit", "attitude", "rate over its limit compared with its uncertainty"),
     ("false_solutions", "attitude", "chance of a false solution computed (logarithms)"),

@@ -117,7 +117,7 @@ class DetectionParameters:
 
 @numba.njit(nogil=True)
 def streaks_seen(table: NDArray[np.float64]) -> bool:
-    """Whether the brightest clusters of ``float64[clusters, CLUSTER_FIELDS]`` are longer than stars at rest."""
+    """Whether the brightest of ``float64[clusters, CLUSTER_FIELDS]`` are longer than stars at rest."""
     extents = np.empty(JUDGED_CLUSTERS)
     sums = np.empty(JUDGED_CLUSTERS)
     judged = 0
@@ -162,6 +162,7 @@ def _detect(
     NDArray[np.int32],
     NDArray[np.float64],
     NDArray[np.int8],
+    bool,
 ]:
     background, noise, samples = frame_statistics(image)
     runs = np.empty((max_runs, RUN_FIELDS), np.int32)
@@ -175,9 +176,11 @@ def _detect(
     label = np.empty(count, np.int32)
     clusters, _ = join_runs(runs, count, row_start, label)
     table = sum_clusters(image, runs, count, run_background, label, clusters)
+    streaks = False
     if piece_gap_px > 0:
         tally[centroid.LENGTHS] += clusters
-        if streaks_seen(table):
+        streaks = streaks_seen(table)
+        if streaks:
             tally[centroid.PIECES] += count
             clusters, compared = join_pieces(runs, count, row_start, label, clusters, piece_gap_px)
             tally[centroid.PIECE_RUNS] += compared
@@ -203,9 +206,8 @@ def _detect(
             outcome,
             tally,
         )
-    measured = spots[:found]
     return (
-        measured,
+        spots[:found],
         background,
         noise,
         samples,
@@ -216,6 +218,7 @@ def _detect(
         label,
         table,
         outcome,
+        streaks,
     )
 
 
@@ -265,18 +268,29 @@ def detect_clusters(
     if image.ndim != 2 or image.dtype != np.uint16 or image.shape[1] < 2:
         raise ValueError(f"an image is uint16[rows, columns >= 2], not {image.dtype}{list(image.shape)}")
     tally = np.zeros(centroid.TALLIES, np.int64)
-    measured, background, noise, samples, scanned, looked_at, overflowed, runs, label, table, outcome = (
-        _detect(
-            np.ascontiguousarray(image),
-            float(parameters.sigma_factor),
-            float(parameters.tau_min_dn),
-            int(parameters.average_pixels),
-            int(parameters.max_runs),
-            parameters.centroid == "cluster",
-            int(parameters.piece_gap_px),
-            parameters.spot_limits(),
-            tally,
-        )
+    (
+        measured,
+        background,
+        noise,
+        samples,
+        scanned,
+        looked_at,
+        overflowed,
+        runs,
+        label,
+        table,
+        outcome,
+        streaks,
+    ) = _detect(
+        np.ascontiguousarray(image),
+        float(parameters.sigma_factor),
+        float(parameters.tau_min_dn),
+        int(parameters.average_pixels),
+        int(parameters.max_runs),
+        parameters.centroid == "cluster",
+        int(parameters.piece_gap_px),
+        parameters.spot_limits(),
+        tally,
     )
     found = len(measured)
     order = np.argsort(-measured[:, centroid.FLUX], kind="stable")[: parameters.max_spots]
@@ -314,4 +328,5 @@ def detect_clusters(
     work.add("cluster_pixels", counts[centroid.RESUMMED])
     spots = spots_of_table(measured[order], rejected, background, noise, overflowed)
     extent = table[:, FIRST_X : LAST_Y + 1].astype(np.int32)
-    return DetectedClusters(spots, np.flatnonzero(outcome < 0)[order], extent, runs, label), work
+    cluster = np.flatnonzero(outcome < 0)[order]
+    return DetectedClusters(spots, cluster, extent, runs, label, bool(streaks)), work

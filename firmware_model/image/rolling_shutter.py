@@ -1,9 +1,9 @@
 """Rolling shutter: every centroid brought to one instant, the middle of the detector's exposure.
 
-Each row begins its exposure ``row_time_s`` after the row above, so the centroid of a streak is where the star
-was in the middle of the exposure of the row that the centroid lies in (exactly so at constant speed). Paper M,
-section 3.2, takes a star's speed from the length of its streak (9)-(17) and its sense from the fusion; the
-others take it from the displacement between two frames, or from the rate that all stars agree on.
+Each row begins its exposure ``row_time_s`` after the row above, so the centroid of a streak is where the
+star was in the middle of the exposure of the row that the centroid lies in (exactly so at constant speed).
+Paper M, section 3.2, takes a star's speed from the length of its streak (9)-(17) and its sense from the
+fusion; the others take it from the displacement between two frames, or from the rate of all stars.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ class DetectedClusters:
 
     cluster: the cluster of each spot. extent: int32[clusters, 4], first and last column, first and last row.
     runs: int32[r, 3], row, first column, end column (half-open), row by row; label: the cluster of each.
+    streaks: whether the brightest clusters are longer than stars at rest (looked at with ``piece_gap_px``).
     """
 
     spots: Spots
@@ -34,6 +35,7 @@ class DetectedClusters:
     extent: IntArray
     runs: IntArray
     label: IntArray
+    streaks: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Frames of a turning camera for the tests of streaks: each star drawn along its path, each row in its own time.
+"""Frames of a turning camera, for streaks: each star drawn along its path, each row in its own time.
 
 Written out plainly with scipy; of the firmware only the camera's figures. The camera is that of the paper on
 rolling shutters (Schiattarella, Spiller and Curti 2020, tables 1 and 2).
@@ -136,7 +136,7 @@ class Stars:
 def stars_round(
     q: Array, rng: np.random.Generator, limit_mag: float = 6.5, half_angle_rad: float = 0.35
 ) -> Stars:
-    """As many stars as the sky has to a magnitude (8,800 to 6.5 mag), evenly within a cone about a boresight."""
+    """As many stars as the sky has to a magnitude (8,800 to 6.5 mag), evenly about a boresight."""
     share = 0.5 * (1.0 - np.cos(half_angle_rad))
     count = int(rng.poisson(8800 * 10 ** (0.5 * (limit_mag - 6.5)) * share))
     z = rng.uniform(np.cos(half_angle_rad), 1.0, count)
