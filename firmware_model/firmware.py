@@ -391,7 +391,10 @@ def _conclude(
             missed=0,
             fast=0,
         )
-        if context.acquisition in (Mode.LOST_IN_SPACE, Mode.RATE_ONLY):
+        if outcome.still_assumed:
+            # The next image says how fast the unit turns; tracking begins with an attitude that knows it.
+            after = context.acquisition if context.acquisition is Mode.RATE_ONLY else Mode.LOST_IN_SPACE
+        elif context.acquisition in (Mode.LOST_IN_SPACE, Mode.RATE_ONLY):
             event = ModeEvent.ATTITUDE_ACQUIRED
     elif tracking:
         state = replace(state, missed=state.missed + 1)
