@@ -2,72 +2,27 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
+from .camera_errors import CentroidError
 from .catalogue.tables import StarTables
 from .geometry import CameraGeometry
 from .identification.interface import IdentificationAlgorithm, IdentificationParameters
 from .identification.pyramid import identify as identify_by_pyramid
 from .image.detection import DetectionParameters
-from .image.interpolation import interpolation_errors
 from .processor import CycleBudget
+from .star_motion import RateParameters
 from .tracking import TrackingParameters
-
-FloatArray = npt.NDArray[np.float64]
 
 __all__ = [
     "CentroidError",
     "DetectionParameters",
     "FirmwareConfiguration",
     "IdentificationParameters",
+    "RateParameters",
     "StarTables",
     "TrackingParameters",
 ]
-
-
-@dataclass(frozen=True)
-class CentroidError:
-    """Expected error of a centroid, for the weights of the attitude and its covariance.
-
-    Each axis: sigma^2 = floor_px^2 + psf_sigma_px^2 / (flux electrons) + (window_factor noise / flux)^2:
-    what the pixels leave over, the photons of the star, and the noise of the background in the window of
-    the centre of mass, where window_factor = sqrt(sum x^2) = (2 h + 1) sqrt(h (h + 1) / 3) of a square
-    window of half-width h. interpolated: the centroids are those of Gaussian interpolation, whose two
-    columns take more from the photons and less from the background (`interpolation_errors`).
-    """
-
-    floor_px: float = 0.01
-    psf_sigma_px: float = 0.7
-    electrons_per_dn: float = 1.0
-    half_window_px: int = 2
-    interpolated: bool = False
-
-    @property
-    def photon_px(self) -> float:
-        """Error of a star of one electron by its photons alone."""
-        return interpolation_errors(self.psf_sigma_px)[0] if self.interpolated else self.psf_sigma_px
-
-    @property
-    def window_factor(self) -> float:
-        """sqrt of the sum of x^2 over the window."""
-        if self.interpolated:
-            return interpolation_errors(self.psf_sigma_px)[1]
-        h = self.half_window_px
-        return (2.0 * h + 1.0) * math.sqrt(h * (h + 1.0) / 3.0)
-
-    def sigma_px(self, flux_dn: FloatArray, noise_dn: float) -> FloatArray:
-        """Expected error in each axis, 1 sigma, of stars of these fluxes[n] before this noise of a pixel."""
-        flux = np.maximum(flux_dn, 1.0)
-        variance = (
-            self.floor_px**2
-            + self.photon_px**2 / (flux * self.electrons_per_dn)
-            + np.square(self.window_factor * noise_dn / flux)
-        )
-        return np.asarray(np.sqrt(variance))
 
 
 @dataclass(frozen=True)
@@ -83,6 +38,7 @@ class FirmwareConfiguration:
         but those of `identification`.
     solved_validity_ns: an attitude older than this says nothing about the rate. ASSUMED: 2 s, within which
         the unit must be back after too high a rate.
+    rate: how the rate is measured without an attitude; None: it is not, and no frame is kept.
     """
 
     geometry: CameraGeometry
@@ -90,7 +46,7 @@ class FirmwareConfiguration:
     identification: IdentificationParameters
     tracking: TrackingParameters
     exposure_ns: int = 100_000_000
-    centroid_error: CentroidError = CentroidError()
+    centroid_error: CentroidError = field(default_factory=CentroidError)
     identify: IdentificationAlgorithm = identify_by_pyramid
     max_spots: int = 60
     blinded_background_dn: float = 60_000.0
@@ -98,3 +54,4 @@ class FirmwareConfiguration:
     velocity_km_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     solved_validity_ns: int = 2_000_000_000
     cycle_budget: CycleBudget | None = None
+    rate: RateParameters | None = None

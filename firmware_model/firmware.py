@@ -9,21 +9,22 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from .aberration import apparent_kernel
 from .attitude import angular_rate
 from .configuration import FirmwareConfiguration, StarTables
 from .frame_result import FirmwareState, FrameContext, FrameResult, IdentifiedStars
 from .frame_search import ARCSEC_PER_RAD, FrameLog, SearchOutcome, directions, solve, velocity_over_c
 from .frame_trace import Trace
-from .identification.interface import Spikes
-from .identification.judgement import COUNT_NAMES, false_solutions_kernel, spread_kernel
-from .image.detection import DetectionParameters, detect
+from .full_frame_search import find, measure_rate
+from .identification.judgement import false_solutions_kernel, spread_kernel
+from .image.detection import DetectionParameters
 from .image.frame import Frame
-from .image.spots import Spots, WindowStatus
+from .image.rolling_shutter import RowTiming
+from .image.spots import Spots, WindowSpots, WindowStatus
 from .image.windows import detect_in_windows
 from .modes import Mode, ModeEvent
 from .reasons import Reason
-from .tracking import plan_windows, verify_by_pivot
+from .star_motion import moved_spots, places_by_rate, rate_of_windows
+from .tracking import TrackingPlan, plan_windows, verify_by_pivot
 from .work import Work
 
 __all__ = [
@@ -55,7 +56,8 @@ def process_frame(
     """Find the attitude of one frame.
 
     In LOST_IN_SPACE the whole frame is searched and identified; in TRACKING only the windows are looked at.
-    TRACKING without a valid attitude to start from is treated as LOST_IN_SPACE.
+    TRACKING without a valid attitude to start from is treated as LOST_IN_SPACE, and so is RATE_ONLY of a unit
+    that measures no rate without attitude.
     trace: called after each step with its record (``frame_trace.py``).
     """
     log = FrameLog(Work({"frames": 1}), trace)
@@ -65,80 +67,11 @@ def process_frame(
     if detection.exposure_s != exposure_s:
         detection = replace(detection, exposure_s=exposure_s)
     velocity = velocity_over_c(context, configuration, log)
-    search = SEARCHES[Mode.TRACKING if tracking else Mode.LOST_IN_SPACE]
-    outcome = search(frame, context, state, configuration, tables, detection, velocity, log)
+    mode = context.acquisition
+    if (mode is Mode.TRACKING and not tracking) or (mode is Mode.RATE_ONLY and configuration.rate is None):
+        mode = Mode.LOST_IN_SPACE
+    outcome = SEARCHES[mode](frame, context, state, configuration, tables, detection, velocity, log)
     return _conclude(outcome, tracking, context, state, configuration, log)
-
-
-def _find(
-    frame: Frame,
-    context: FrameContext,
-    state: FirmwareState,
-    configuration: FirmwareConfiguration,
-    tables: StarTables,
-    detection: DetectionParameters,
-    velocity: FloatArray,
-    log: FrameLog,
-) -> SearchOutcome:
-    """Lost in space: the whole frame against the whole catalogue."""
-    spots = log.run("detect", detect, image=frame.full(), parameters=detection)
-    if spots.background_dn > configuration.blinded_background_dn:
-        return SearchOutcome(Reason.BLINDED, spots)
-    if spots.overflowed:
-        return SearchOutcome(Reason.TOO_MANY_SPOTS, spots)
-    used = spots.brightest(configuration.max_spots)
-    b_vectors = directions(used, configuration, log)
-    parameters = configuration.identification
-    budget = configuration.cycle_budget
-    if budget is not None:
-        parameters = replace(
-            parameters,
-            max_cycles=budget.for_search(log.work),
-            count_cycles=np.array(budget.processor.costs(COUNT_NAMES)),
-        )
-    spikes = Spikes(b_vectors, used.magnitude)
-    identification, identification_work = configuration.identify(spikes, tables, parameters)
-    log.step(
-        "identify",
-        {
-            "algorithm": configuration.identify,
-            "spikes": spikes,
-            "tables": tables,
-            "parameters": parameters,
-        },
-        identification,
-        identification_work,
-    )
-    if not identification.identified:
-        return SearchOutcome(identification.reason, spots, identification=identification)
-    spot = np.flatnonzero(identification.star_index >= 0).astype(np.int32)
-    rows = identification.star_index[spot]
-    reference = np.empty((len(rows), 3))
-    apparent_kernel(tables.catalogue.unit_vectors, rows, velocity, reference)
-    log.step(
-        "apparent",
-        {"unit_vectors": tables.catalogue.unit_vectors, "rows": rows, "velocity": velocity},
-        reference,
-        Work({"aberrated_stars": len(rows)} if velocity.any() else None),
-    )
-    outcome = solve(
-        b_vectors[spot],
-        reference,
-        rows,
-        spot,
-        spots,
-        configuration,
-        tables,
-        configuration.identification.tolerance_rad,
-        min(configuration.identification.min_stars, len(rows)),
-        log,
-    )
-    return replace(
-        outcome,
-        reasons=outcome.reasons | identification.reason,
-        identification=identification,
-        false_solutions=identification.false_solutions,
-    )
 
 
 def _track(
@@ -184,6 +117,7 @@ def _track(
         height_px=geometry.height_px,
         keep=keep,
     )
+    found = _at_frame_time(found, plan, context, state, configuration, interval_s, log)
     spots = found.spots
     blank = SearchOutcome(Reason.NONE, spots, rects=plan.rects, half_width_px=plan.half_width_px, plan=plan)
     if spots.background_dn > configuration.blinded_background_dn:
@@ -250,8 +184,64 @@ def _track(
     )
 
 
+def _at_frame_time(
+    found: WindowSpots,
+    plan: TrackingPlan,
+    context: FrameContext,
+    state: FirmwareState,
+    configuration: FirmwareConfiguration,
+    interval_s: float,
+    log: FrameLog,
+) -> WindowSpots:
+    """The spots of the windows as they stood at the frame's time, where the shutter is a rolling one.
+
+    The rate is that from the predicted places to the spots of windows of a single star; where too few of them
+    agree, the last one known.
+    """
+    parameters = configuration.rate
+    if parameters is None or parameters.compensation == "none" or context.row_time_s == 0.0:
+        return found
+    geometry = configuration.geometry
+    timing = RowTiming(context.row_time_s, context.exposure_ns * 1e-9, interval_s, geometry.height_px)
+    measured = log.run(
+        "window_rate",
+        rate_of_windows,
+        x_px=plan.x_px,
+        y_px=plan.y_px,
+        window=plan.window,
+        found=found,
+        timing=timing,
+        geometry=geometry,
+        centroid_error=configuration.centroid_error,
+        tolerance_px=parameters.tolerance_px,
+        min_stars=parameters.min_stars,
+    )
+    if measured is not None:
+        rate: FloatArray | None = measured.rate_rad_s
+    else:
+        recent = 0 < context.t_mid_ns - state.rate_t_ns <= configuration.solved_validity_ns
+        rate = state.rate_rad_s if recent else None
+    if rate is None:
+        return found
+    places = log.run(
+        "places_by_rate",
+        places_by_rate,
+        x_px=found.spots.x_px,
+        y_px=found.spots.y_px,
+        rate_rad_s=rate,
+        timing=timing,
+        geometry=geometry,
+        least_speed_px_s=parameters.least_speed_px_s,
+    )
+    return replace(found, spots=moved_spots(found.spots, places))
+
+
 #: How a frame is searched in each mode.
-SEARCHES: dict[Mode, Callable[..., SearchOutcome]] = {Mode.LOST_IN_SPACE: _find, Mode.TRACKING: _track}
+SEARCHES: dict[Mode, Callable[..., SearchOutcome]] = {
+    Mode.LOST_IN_SPACE: find,
+    Mode.TRACKING: _track,
+    Mode.RATE_ONLY: measure_rate,
+}
 
 
 def _rate_too_high(
@@ -275,6 +265,58 @@ def _rate_too_high(
     return rate > limit + 3.0 * math.sqrt(variance) / interval_s
 
 
+def _too_fast(
+    rate_rad_s: FloatArray,
+    covariance_rad2_s2: FloatArray,
+    configuration: FirmwareConfiguration,
+    log: FrameLog,
+) -> bool:
+    """Whether a rate is over the tracking rate by more than the margin and three of its sigmas."""
+    rate = math.sqrt(float(rate_rad_s @ rate_rad_s))
+    limit = configuration.tracking.rate_rad_s * (1.0 + configuration.tracking.rate_margin)
+    if rate <= limit:
+        return False
+    axis = rate_rad_s / rate
+    over = rate > limit + 3.0 * math.sqrt(float(axis @ covariance_rad2_s2 @ axis))
+    arguments = {"rate_rad_s": rate_rad_s, "covariance_rad2_s2": covariance_rad2_s2, "limit_rad_s": limit}
+    log.step("rate_limit", arguments, over, Work({"rates_over_limit": 1}))
+    return over
+
+
+def _with_rate(
+    state: FirmwareState,
+    rate: FloatArray | None,
+    covariance: FloatArray | None,
+    context: FrameContext,
+    outcome: SearchOutcome,
+) -> FirmwareState:
+    """The state with what this frame leaves of its rate and its spots."""
+    state = replace(state, previous=outcome.kept)
+    if rate is None:
+        return state
+    return replace(state, rate_rad_s=rate, rate_covariance_rad2_s2=covariance, rate_t_ns=context.t_mid_ns)
+
+
+def _without_attitude(
+    mode: Mode, rate: FloatArray | None, state: FirmwareState, configuration: FirmwareConfiguration
+) -> tuple[FirmwareState, Mode, ModeEvent | None]:
+    """State, next search and event of a full frame without a valid attitude: LOST_IN_SPACE or RATE_ONLY.
+
+    ASSUMED: only rates that are too high to track lead to RATE_ONLY. A unit that stands still before a sky it
+    does not know would else go to and fro between the two modes.
+    """
+    assert configuration.rate is not None
+    slow = rate is not None and float(rate @ rate) < configuration.tracking.rate_rad_s**2
+    if mode is Mode.RATE_ONLY:
+        if slow:
+            return replace(state, fast=0), Mode.LOST_IN_SPACE, ModeEvent.SLOW_AGAIN
+        return state, Mode.RATE_ONLY, None
+    fast = state.fast + 1 if rate is not None and not slow else 0
+    if fast < configuration.rate.frames_to_rate_only:
+        return replace(state, fast=fast), Mode.LOST_IN_SPACE, None
+    return replace(state, fast=0), Mode.RATE_ONLY, ModeEvent.RATE_ALONE
+
+
 def _conclude(
     outcome: SearchOutcome,
     tracking: bool,
@@ -286,6 +328,7 @@ def _conclude(
     """Look at the rate, decide on validity and on the next search, and carry the state on."""
     reasons = outcome.reasons
     rate: FloatArray | None = None
+    rate_covariance: FloatArray | None = None
     solution = outcome.attitude
     # What is not confirmed says nothing about the rate either: it would make a right attitude look fast.
     if solution is not None and not reasons & Reason.UNCONFIRMED:
@@ -296,10 +339,14 @@ def _conclude(
         if not tracking:
             before, covariance, t_before = state.solved, state.solved_covariance_rad2, state.solved_t_ns
         interval_ns = context.t_mid_ns - t_before
-        measured = covariance is not None
-        if before is not None and measured and 0 < interval_ns <= configuration.solved_validity_ns:
+        if (
+            before is not None
+            and covariance is not None
+            and 0 < interval_ns <= configuration.solved_validity_ns
+        ):
             interval_s = interval_ns * 1e-9
             rate = angular_rate(before, solution.q_icrs_to_sensor, interval_s)
+            rate_covariance = (covariance + solution.covariance_rad2) / interval_s**2
             rate_work = Work({"rate_solves": 1})
             if _rate_too_high(
                 rate, interval_s, covariance, solution.covariance_rad2, configuration, rate_work
@@ -321,10 +368,16 @@ def _conclude(
         state = replace(
             state,
             solved=solution.q_icrs_to_sensor,
-            solved_covariance_rad2=solution.covariance_rad2,
+            solved_covariance_rad2=None if outcome.still_assumed else solution.covariance_rad2,
             solved_t_ns=context.t_mid_ns,
         )
+    if rate is None and outcome.star_rate is not None:
+        rate, rate_covariance = outcome.star_rate.rate_rad_s, outcome.star_rate.covariance_rad2_s2
+        if solution is not None and _too_fast(rate, rate_covariance, configuration, log):
+            reasons |= Reason.RATE_TOO_HIGH
     valid = reasons == Reason.NONE
+    if configuration.rate is not None:
+        state = _with_rate(state, rate, rate_covariance, context, outcome)
     event: ModeEvent | None = None
     after = Mode.TRACKING
     if valid and solution is not None:
@@ -332,12 +385,16 @@ def _conclude(
         state = replace(
             state,
             q_icrs_to_sensor=solution.q_icrs_to_sensor,
-            covariance_rad2=solution.covariance_rad2,
+            covariance_rad2=None if outcome.still_assumed else solution.covariance_rad2,
             t_ns=context.t_mid_ns,
             pivot=int(outcome.stars.row[int(np.argmin(magnitude))]),
             missed=0,
+            fast=0,
         )
-        if context.acquisition is Mode.LOST_IN_SPACE:
+        if outcome.still_assumed:
+            # The next image says how fast the unit turns; tracking begins with an attitude that knows it.
+            after = context.acquisition if context.acquisition is Mode.RATE_ONLY else Mode.LOST_IN_SPACE
+        elif context.acquisition in (Mode.LOST_IN_SPACE, Mode.RATE_ONLY):
             event = ModeEvent.ATTITUDE_ACQUIRED
     elif tracking:
         state = replace(state, missed=state.missed + 1)
@@ -349,6 +406,8 @@ def _conclude(
         after = Mode.LOST_IN_SPACE
         if context.acquisition is Mode.TRACKING:
             event = ModeEvent.TRACKING_LOST
+        elif configuration.rate is not None:
+            state, after, event = _without_attitude(context.acquisition, rate, state, configuration)
     q = _IDENTITY if state.q_icrs_to_sensor is None else state.q_icrs_to_sensor
     covariance_now = solution.covariance_rad2 if valid and solution is not None else np.zeros((3, 3))
     return FrameResult(
@@ -370,4 +429,5 @@ def _conclude(
         plan=outcome.plan,
         identification=outcome.identification,
         false_solutions=outcome.false_solutions if valid else math.inf,
+        rate_covariance_rad2_s2=rate_covariance,
     )

@@ -12,6 +12,7 @@ from .identification.interface import Identification
 from .image.spots import Spots
 from .modes import Mode, ModeEvent
 from .reasons import Reason
+from .star_motion import KeptFrame
 from .tracking import TrackingPlan
 from .work import Work
 
@@ -28,8 +29,8 @@ class FrameContext:
     """What the firmware knows about a frame besides its pixels.
 
     acquisition: LOST_IN_SPACE, TRACKING or RATE_ONLY, how the frame is to be searched.
-    t_mid_ns: mid-exposure, ns since power-on (of a rolling shutter that of the middle row); exposure_ns; tai_ns: on-board time of mid-exposure (TAI, ns
-        since 1958-01-01), None while the time is not set.
+    t_mid_ns: mid-exposure, ns since power-on (of a rolling shutter that of the middle row); exposure_ns;
+        tai_ns: on-board time of mid-exposure (TAI, ns since 1958-01-01), None while the time is not set.
     row_time_s: a rolling shutter's row begins its exposure so much after the row before; 0: a global shutter.
     """
 
@@ -49,6 +50,9 @@ class FirmwareState:
         sent to the unit rather than measured. pivot: its brightest star, row of the catalogue, -1 without.
     solved, solved_t_ns: the last attitude solved, also where it was not valid because the rate was too high.
     missed: consecutive tracking frames without attitude.
+    Of a unit with ``FirmwareConfiguration.rate`` alone: previous: the last frame if it was a full one, its
+    spots and their runs; rate_rad_s, rate_t_ns: the last rate measured; fast: consecutive full frames with a
+    rate too high to track and no valid attitude.
     """
 
     q_icrs_to_sensor: FloatArray | None = None
@@ -59,6 +63,11 @@ class FirmwareState:
     solved_covariance_rad2: FloatArray | None = None
     solved_t_ns: int = 0
     missed: int = 0
+    previous: KeptFrame | None = None
+    rate_rad_s: FloatArray | None = None
+    rate_covariance_rad2_s2: FloatArray | None = None
+    rate_t_ns: int = 0
+    fast: int = 0
 
     @classmethod
     def initial(cls) -> FirmwareState:

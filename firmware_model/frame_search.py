@@ -18,6 +18,8 @@ from .frame_trace import StepRecord, Trace
 from .identification.interface import Identification
 from .image.spots import Spots
 from .reasons import Reason
+from .star_motion import KeptFrame
+from .star_rate import StarRate
 from .tracking import TrackingPlan
 from .work import Work
 
@@ -52,7 +54,11 @@ class FrameLog:
 
 @dataclass(frozen=True)
 class SearchOutcome:
-    """What a search found, before the rate and the history are looked at."""
+    """What a search found, before the rate and the history are looked at.
+
+    kept: what the next frame may fuse with; star_rate: by this frame and the one before, without attitude.
+    still_assumed: a rolling shutter's attitude as if the unit stood still; nothing follows for its rate.
+    """
 
     reasons: Reason
     spots: Spots
@@ -63,6 +69,9 @@ class SearchOutcome:
     plan: TrackingPlan | None = None
     identification: Identification | None = None
     false_solutions: float = math.inf
+    kept: KeptFrame | None = None
+    star_rate: StarRate | None = None
+    still_assumed: bool = False
 
 
 def velocity_over_c(context: FrameContext, configuration: FirmwareConfiguration, log: FrameLog) -> FloatArray:

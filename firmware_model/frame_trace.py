@@ -17,6 +17,12 @@ __all__ = ["STEPS", "StepRecord", "Trace"]
 STEPS: Final = (
     "velocity",  # of the observer, for the aberration
     "detect",  # full frame to spots
+    "keep_runs",  # runs of the spots, for the next frame
+    "fuse",  # spots of the frame before and of this one
+    "star_rate",  # rate of the fused spots, not identified
+    "compensate",  # rolling shutter, by each spot's own motion
+    "places_by_rate",  # rolling shutter, by the rate
+    "window_rate",  # the same of the windows' spots, from the predicted places
     "plan",  # last attitude to detection windows
     "windows",  # pixels of the windows to spots
     "unit_vectors",  # pixel positions to directions
@@ -26,6 +32,7 @@ STEPS: Final = (
     "attitude",  # directions to quaternion and covariance
     "false_solutions",  # how likely chance gives such a solution
     "rate",  # from two attitudes
+    "rate_limit",  # whether a rate without attitudes is too high to track
 )
 
 

@@ -16,7 +16,7 @@ __all__ = ["COUNTS", "STAGES", "CountDefinition", "Work"]
 
 STAGES: Final = (
     "threshold",  # pixels against the local background, full frame or windows
-    "clustering",  # runs to clusters
+    "clustering",  # runs to clusters, clusters of one star in two frames
     "centroid",  # clusters to spots and unit vectors
     "identification",  # lost in space
     "tracking",  # prediction, windows, verification by the pivot
@@ -58,6 +58,16 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("rows_joined", "clustering", "row whose runs are compared with those of the row above"),
     ("cluster_pixels", "clustering", "pixel over threshold summed into its cluster"),
     ("clusters", "clustering", "cluster with its sums completed"),
+    ("cluster_lengths", "clustering", "cluster whose extent says whether stars are streaks"),
+    ("piece_runs", "clustering", "run of a frame of streaks looked at for pieces beside it"),
+    ("piece_runs_compared", "clustering", "run of the rows above compared with it"),
+    ("runs_sorted", "clustering", "run of a full frame looked at for the spot that it belongs to"),
+    ("streaks_kept", "clustering", "spot whose pixels are kept for the next frame"),
+    ("runs_kept", "clustering", "run of such a spot copied to its others"),
+    ("fusions", "clustering", "fusion of two frames' spots begun: its code is in no cache"),
+    ("boxes_compared", "clustering", "bounding boxes of a spot before and one now compared"),
+    ("boxes_met", "clustering", "such boxes that meet: their runs are looked at"),
+    ("runs_compared", "clustering", "distance between a run before and one now"),
     # centroid
     ("measurings", "centroid", "measurement of a frame's clusters begun: its code is in no cache"),
     ("first_centroids", "centroid", "first centre of mass of a frame: its code is in no cache"),
@@ -75,6 +85,10 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("interpolated_tables", "centroid", "table of clusters with an interpolation: the noise of a moment"),
     ("first_interpolations", "centroid", "first interpolation of a frame: its code is in no cache"),
     ("spots_judged", "centroid", "spot whose magnitude is taken (a logarithm) and looked at"),
+    ("energies", "centroid", "centroid of a cluster's own pixels: two quotients of its sums, M (1)-(2)"),
+    ("compensations", "centroid", "compensation of a rolling shutter begun: its code is in no cache"),
+    ("spots_compensated", "centroid", "spot brought to the frame's time by its own velocity"),
+    ("spots_turned", "centroid", "spot brought to the frame's time by the rate of all stars"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
     ("directions_begun", "centroid", "frame whose positions are turned to unit vectors: the code is cold"),
     ("unit_vectors", "centroid", "pixel position turned to a unit vector (pinhole)"),
@@ -118,6 +132,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("reference_angles", "tracking", "angle between the pivot and another predicted star computed"),
     ("pivots_tried", "tracking", "spot tried as the pivot's"),
     ("spots_assigned", "tracking", "distance of a spot to a predicted star computed"),
+    ("window_stars_paired", "tracking", "predicted star looked at for the one spot of its window"),
     # attitude
     ("qmethod_stars", "attitude", "star summed into the attitude profile matrix"),
     ("qmethod_solves", "attitude", "largest eigenvector of the 4 x 4 matrix"),
@@ -129,6 +144,10 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("aberrated_stars", "attitude", "catalogue direction turned to apparent (aberration)"),
     ("observer_velocities", "attitude", "velocity of the Earth computed from time"),
     ("rate_solves", "attitude", "angular rate from two attitudes"),
+    ("star_rates", "attitude", "rate of unidentified stars begun: its code is in no cache"),
+    ("rate_stars", "attitude", "pair of such stars summed into the equations of a rate and compared with it"),
+    ("streak_errors", "attitude", "expected errors of a streak's centroid, along it and across"),
+    ("rate_least_squares", "attitude", "such equations solved"),
     ("rates_over_limit", "attitude", "rate over its limit compared with its uncertainty"),
     ("false_solutions", "attitude", "chance of a false solution computed (logarithms)"),
     ("spread_stars", "attitude", "star whose angle from the stars' mean is computed for that chance"),

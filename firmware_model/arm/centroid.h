@@ -55,6 +55,11 @@ int32_t st_measure_spots(const st_image *image, const st_run *runs, const int32_
                          int32_t local_background, int32_t reach, const st_spot_limits *limits,
                          st_spot *spots, int8_t *outcome, int32_t *rejected, void *room);
 
+/* The same by the clusters alone: energy-weighted mean and energy of each, cluster_centroid.py. */
+int32_t st_measure_clusters(const st_image *image, const st_cluster *clusters, int32_t number,
+                            const st_spot_limits *limits, st_spot *spots, int8_t *outcome,
+                            int32_t *rejected);
+
 /* Order spots by flux, brightest first, equal ones as they were; the first most of them go to ordered.
  * order[2 * count]: room. Returns how many went there. */
 int32_t st_order_spots(const st_spot *spots, int32_t count, int32_t most, int32_t *order, st_spot *ordered);

@@ -37,6 +37,16 @@ void st_angular_rate(const double *q_before, const double *q_after, double inter
         rate_rad_s[axis] = turn[axis] * angle / interval_s;
 }
 
+void st_rate_covariance(const double *before_rad2, const double *now_rad2, double interval_s,
+                        double *covariance)
+{
+    double square = interval_s * interval_s;
+    int32_t m;
+
+    for (m = 0; m < 9; m++)
+        covariance[m] = (before_rad2[m] + now_rad2[m]) / square;
+}
+
 /* axis^T matrix axis of a [3][3] matrix. */
 static double variance_along(const double *axis, const double *matrix)
 {

@@ -26,7 +26,8 @@ SPOT_FIELDS = 8
 SMALL, LARGE, SHARP, EDGE, FAINT = range(5)
 PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(5, 10)
 TABLES, REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED, JUDGED, INTERPOLATED = range(10, 18)
-TALLIES = 18
+ENERGIES, LENGTHS, PIECES, PIECE_RUNS, RESUMMED = range(18, 23)
+TALLIES = 23
 
 
 class SpotLimits(NamedTuple):
@@ -61,6 +62,7 @@ def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
         "interpolated_tables": tally[INTERPOLATED],
         "interpolations_solved": tally[SOLVED],
         "spots_judged": tally[JUDGED],
+        "energies": tally[ENERGIES],
     }
 
 

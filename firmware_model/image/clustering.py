@@ -10,7 +10,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BLOCK_PX", "CLUSTER_FIELDS", "RUN_FIELDS", "join_runs", "sum_clusters", "threshold_scan"]
+__all__ = [
+    "BLOCK_PX",
+    "CLUSTER_FIELDS",
+    "RUN_FIELDS",
+    "join_pieces",
+    "join_runs",
+    "sum_clusters",
+    "threshold_scan",
+]
 
 # The moving average is brought up to date once in this many pixels: a burst of the image sensor's DMA.
 # ASSUMED: paper M does not say how often; within 32 px the background of a sky image does not change.
@@ -167,6 +175,50 @@ def join_runs(
         else:
             label[run] = label[label[run]]
     return clusters, unions
+
+
+@numba.njit(nogil=True)
+def join_pieces(
+    runs: NDArray[np.int32],
+    count: int,
+    row_start: NDArray[np.int32],
+    label: NDArray[np.int32],
+    clusters: int,
+    gap_px: int,
+) -> tuple[int, int]:
+    """Join clusters with no more than ``gap_px`` pixels between them, on either axis: the pieces of a streak
+    whose light is about the threshold. Returns (clusters, runs compared).
+
+    ``label``: as ``join_runs`` has left it, renumbered here in the same order.
+    """
+    parent = np.arange(clusters).astype(np.int32)
+    compared = 0
+    rows = row_start.shape[0] - 1
+    for row in range(rows):
+        for run in range(row_start[row], row_start[row + 1]):
+            first, end = runs[run, 1], runs[run, 2]
+            # the rows above, and of its own those to the left
+            for other in range(row_start[max(row - gap_px - 1, 0)], run):
+                compared += 1
+                if runs[other, 1] - end <= gap_px and first - runs[other, 2] <= gap_px:
+                    a = _root(parent, label[other])
+                    b = _root(parent, label[run])
+                    if a < b:
+                        parent[b] = a
+                    else:
+                        parent[a] = b
+    number = np.empty(clusters, np.int32)
+    left = 0
+    for cluster in range(clusters):
+        # roots have the smallest index
+        if parent[cluster] == cluster:
+            number[cluster] = left
+            left += 1
+        else:
+            number[cluster] = number[_root(parent, cluster)]
+    for run in range(count):
+        label[run] = number[label[run]]
+    return left, compared
 
 
 @numba.njit(nogil=True)

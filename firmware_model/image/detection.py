@@ -12,13 +12,27 @@ from ..work import Work
 from . import centroid
 from .background import frame_samples, frame_statistics
 from .centroid import SpotLimits
-from .clustering import RUN_FIELDS, join_runs, sum_clusters, threshold_scan
+from .cluster_centroid import measure_clusters
+from .clustering import (
+    FIRST_X,
+    FIRST_Y,
+    LAST_X,
+    LAST_Y,
+    PIXELS,
+    RUN_FIELDS,
+    SUM,
+    join_pieces,
+    join_runs,
+    sum_clusters,
+    threshold_scan,
+)
 from .interpolation import HALF_HEIGHT_PX, InterpolationTerms, interpolation_terms
 from .spots import Rejections, Spots
+from .streaks import DetectedClusters
 
-__all__ = ["CENTROIDS", "DetectionParameters", "detect"]
+__all__ = ["CENTROIDS", "DetectionParameters", "detect", "detect_clusters"]
 
-CENTROIDS = ("com", "gaussian")  # paper Z (1)-(3) and (4)-(6)
+CENTROIDS = ("com", "gaussian", "cluster")  # paper Z (1)-(3) and (4)-(6), paper M (1)-(2)
 
 
 _POSITIVE = (
@@ -35,6 +49,13 @@ _POSITIVE = (
     "max_runs",
     "max_spots",
 )
+
+
+# Stars are streaks where the median of the extents of the brightest clusters is at least this.
+# ASSUMED: a star of magnitude 0 at rest is 8 px wide, the usual ones 3 to 5; five are there in any field, and
+# neither the Moon nor a hot pixel decides.
+STREAK_EXTENT_PX = 7.0
+JUDGED_CLUSTERS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +83,7 @@ class DetectionParameters:
     centroid: str = "com"  # one of CENTROIDS
     psf_sigma_px: float = 0.75  # of the point spread that "gaussian" takes a spot for
     interpolation_half_height_px: int = HALF_HEIGHT_PX  # its columns are summed over +- so many rows
+    piece_gap_px: int = 0  # where stars are streaks, pieces so near to each other are one; 0: never
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:
@@ -94,15 +116,54 @@ class DetectionParameters:
 
 
 @numba.njit(nogil=True)
+def streaks_seen(table: NDArray[np.float64]) -> bool:
+    """Whether the brightest of ``float64[clusters, CLUSTER_FIELDS]`` are longer than stars at rest."""
+    extents = np.empty(JUDGED_CLUSTERS)
+    sums = np.empty(JUDGED_CLUSTERS)
+    judged = 0
+    for cluster in range(table.shape[0]):
+        entry = table[cluster]
+        place = judged
+        while place > 0 and sums[place - 1] < entry[SUM]:
+            place -= 1
+        if place == JUDGED_CLUSTERS:
+            continue
+        judged = min(judged + 1, JUDGED_CLUSTERS)
+        for later in range(judged - 1, place, -1):
+            sums[later], extents[later] = sums[later - 1], extents[later - 1]
+        sums[place] = entry[SUM]
+        extents[place] = max(entry[LAST_X] - entry[FIRST_X], entry[LAST_Y] - entry[FIRST_Y]) + 1.0
+    long = 0
+    for place in range(judged):
+        long += int(extents[place] >= STREAK_EXTENT_PX)
+    return 2 * long > judged
+
+
+@numba.njit(nogil=True)
 def _detect(
     image: NDArray[np.uint16],
     sigma_factor: float,
     tau_min_dn: float,
     average_pixels: int,
     max_runs: int,
+    whole_clusters: bool,
+    piece_gap_px: int,
     limits: SpotLimits,
     tally: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], float, float, int, int, int, int, int, bool]:
+) -> tuple[
+    NDArray[np.float64],
+    float,
+    float,
+    int,
+    int,
+    int,
+    bool,
+    NDArray[np.int32],
+    NDArray[np.int32],
+    NDArray[np.float64],
+    NDArray[np.int8],
+    bool,
+]:
     background, noise, samples = frame_statistics(image)
     runs = np.empty((max_runs, RUN_FIELDS), np.int32)
     run_background = np.empty(max_runs, np.float64)
@@ -115,23 +176,50 @@ def _detect(
     label = np.empty(count, np.int32)
     clusters, _ = join_runs(runs, count, row_start, label)
     table = sum_clusters(image, runs, count, run_background, label, clusters)
+    streaks = False
+    if piece_gap_px > 0:
+        tally[centroid.LENGTHS] += clusters
+        streaks = streaks_seen(table)
+        if streaks:
+            tally[centroid.PIECES] += count
+            clusters, compared = join_pieces(runs, count, row_start, label, clusters, piece_gap_px)
+            tally[centroid.PIECE_RUNS] += compared
+            for cluster in range(table.shape[0]):
+                tally[centroid.RESUMMED] += int(table[cluster, PIXELS])
+            table = sum_clusters(image, runs, count, run_background, label, clusters)
     spots = np.empty((clusters, centroid.SPOT_FIELDS), np.float64)
     outcome = np.empty(clusters, np.int8)
-    found = centroid.measure_spots(
-        image,
-        runs,
-        row_start,
+    if whole_clusters:
+        found = measure_clusters(image.shape[1], image.shape[0], table, limits, spots, outcome, tally)
+    else:
+        found = centroid.measure_spots(
+            image,
+            runs,
+            row_start,
+            label,
+            table,
+            noise,
+            True,
+            1,
+            limits,
+            spots,
+            outcome,
+            tally,
+        )
+    return (
+        spots[:found],
+        background,
+        noise,
+        samples,
+        scanned,
+        looked_at,
+        overflowed,
+        runs[:count],
         label,
         table,
-        noise,
-        True,
-        1,
-        limits,
-        spots,
         outcome,
-        tally,
+        streaks,
     )
-    return spots[:found], background, noise, samples, scanned, looked_at, count, clusters, overflowed
 
 
 def spots_of_table(
@@ -164,25 +252,48 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
 
     Threshold: local background (moving average along a zigzag scan, paper M section 2.1) plus
     max(``sigma_factor`` * noise of this frame, ``tau_min_dn``). Runs are joined to 8-connected clusters;
-    each cluster between ``min_pixels`` and ``max_pixels`` is measured (centre of mass, paper Z (1)-(3), or
-    Gaussian interpolation, (4)-(6)) and kept if its flux is brighter than ``magnitude_limit``. Spots come
-    brightest first.
+    each cluster between ``min_pixels`` and ``max_pixels`` is measured (centre of mass, paper Z (1)-(3),
+    Gaussian interpolation, (4)-(6), or the mean of the cluster itself, paper M (1)-(2)) and kept if its flux
+    is brighter than ``magnitude_limit``. Spots come brightest first.
     ``Spots.overflowed``: more runs than ``max_runs``; the spots are of the part scanned until then.
     """
+    detected, work = detect_clusters(image, parameters)
+    return detected.spots, work
+
+
+def detect_clusters(
+    image: NDArray[np.uint16], parameters: DetectionParameters
+) -> tuple[DetectedClusters, Work]:
+    """As ``detect``, with the runs and clusters that the spots are of."""
     if image.ndim != 2 or image.dtype != np.uint16 or image.shape[1] < 2:
         raise ValueError(f"an image is uint16[rows, columns >= 2], not {image.dtype}{list(image.shape)}")
     tally = np.zeros(centroid.TALLIES, np.int64)
-    table, background, noise, samples, scanned, looked_at, runs, clusters, overflowed = _detect(
+    (
+        measured,
+        background,
+        noise,
+        samples,
+        scanned,
+        looked_at,
+        overflowed,
+        runs,
+        label,
+        table,
+        outcome,
+        streaks,
+    ) = _detect(
         np.ascontiguousarray(image),
         float(parameters.sigma_factor),
         float(parameters.tau_min_dn),
         int(parameters.average_pixels),
         int(parameters.max_runs),
+        parameters.centroid == "cluster",
+        int(parameters.piece_gap_px),
         parameters.spot_limits(),
         tally,
     )
-    found = len(table)
-    order = np.argsort(-table[:, centroid.FLUX], kind="stable")[: parameters.max_spots]
+    found = len(measured)
+    order = np.argsort(-measured[:, centroid.FLUX], kind="stable")[: parameters.max_spots]
     counts = tally.tolist()
     rejected = Rejections(
         small=counts[centroid.SMALL],
@@ -200,13 +311,22 @@ def detect(image: NDArray[np.uint16], parameters: DetectionParameters) -> tuple[
         "block_pixels": looked_at,
         "clusterings": 1,
         "run_tables": 1,
-        "cold_runs": runs,
-        "runs": runs,
+        "cold_runs": len(runs),
+        "runs": len(runs),
         "rows_joined": image.shape[0],
         "cluster_pixels": counts[centroid.CLUSTER_PIXELS],
-        "clusters": clusters,
+        "clusters": len(table),
         "frames_measured": int(counts[centroid.PASSES] > 0),
         "spots_sorted": sorting_work(found),
     }
     work.counts |= centroid.centroid_counts(counts)
-    return spots_of_table(table[order], rejected, background, noise, overflowed), work
+    work.counts |= {
+        "cluster_lengths": counts[centroid.LENGTHS],
+        "piece_runs": counts[centroid.PIECES],
+        "piece_runs_compared": counts[centroid.PIECE_RUNS],
+    }
+    work.add("cluster_pixels", counts[centroid.RESUMMED])
+    spots = spots_of_table(measured[order], rejected, background, noise, overflowed)
+    extent = table[:, FIRST_X : LAST_Y + 1].astype(np.int32)
+    cluster = np.flatnonzero(outcome < 0)[order]
+    return DetectedClusters(spots, cluster, extent, runs, label, bool(streaks)), work

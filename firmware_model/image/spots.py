@@ -49,7 +49,7 @@ class Spots:
     def __len__(self) -> int:
         return len(self.x_px)
 
-    def take(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Spots:
+    def take(self, index: NDArray[np.intp] | NDArray[np.int32] | NDArray[np.bool_] | slice) -> Spots:
         """The spots selected by an index array, a mask or a slice (order as given)."""
         return Spots(
             self.x_px[index],

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..compiled_kernels import keep_compiled_kernels
 from ..errors import ConfigurationError
-from ..firmware_model.configuration import CentroidError, FirmwareConfiguration
+from ..firmware_model.configuration import CentroidError, FirmwareConfiguration, RateParameters
 from ..firmware_model.cycle_table import LINE_FILLS, ProcessorProfileError, load_table
 from ..firmware_model.geometry import CameraGeometry
 from ..firmware_model.identification.algorithms import ALGORITHMS
@@ -88,6 +88,21 @@ def cycle_budget(profile: UnitProfile, parameters: Mapping[str, float | int]) ->
     return CycleBudget(processor, max(0, budget_ns) * processor.clock_hz // 1_000_000_000)
 
 
+def _rate_parameters(profile: UnitProfile) -> RateParameters | None:
+    """What the unit file says of the rate without an attitude; None: nothing."""
+    if profile.rate is None:
+        return None
+    return RateParameters(
+        fusion_distance_px=profile.rate.fusion_distance_px,
+        compensation=profile.rate.compensation,
+        least_speed_px_s=profile.rate.least_speed_px_s,
+        tolerance_px=profile.rate.tolerance_px,
+        min_stars=profile.rate.min_stars,
+        frames_to_rate_only=profile.rate.frames_to_rate_only,
+        identify_below_rad_s=float(np.radians(profile.rate.identify_below_deg_s)),
+    )
+
+
 def firmware_configuration(
     profile: UnitProfile, parameters: Mapping[str, float | int]
 ) -> FirmwareConfiguration:
@@ -112,6 +127,7 @@ def firmware_configuration(
         window_sigma_factor=profile.detection.window_sigma,
         centroid=profile.detection.centroid,
         psf_sigma_px=profile.optics.psf_sigma_px,  # ASSUMED: the calibration holds it exactly
+        piece_gap_px=0 if profile.rate is None else profile.rate.piece_gap_px,
     )
     return FirmwareConfiguration(
         geometry=geometry,
@@ -140,6 +156,7 @@ def firmware_configuration(
             max_missed=int(parameters["tracking_max_missed"]),
             max_windows=profile.tracking.max_windows,
         ),
+        rate=_rate_parameters(profile),
         exposure_ns=exposure_us * 1000,
         identify=ALGORITHMS[profile.identification.algorithm],
         centroid_error=CentroidError(

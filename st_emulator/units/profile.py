@@ -137,7 +137,7 @@ class Detection(Section):
     min_pixels: Annotated[int, Field(ge=1, le=50)]
     max_pixels: Annotated[int, Field(ge=10, le=100000)]
     centroid_half_window_px: Annotated[int, Field(ge=1, le=7)]
-    centroid: Literal["com", "gaussian"] = "com"
+    centroid: Literal["com", "gaussian", "cluster"] = "com"
     magnitude_limit: Annotated[float, Field(ge=0, le=10)]
     blinded_background_dn: Annotated[int, Field(ge=1, le=65535)]
 
@@ -178,6 +178,30 @@ class Tracking(Section):
     max_windows: Annotated[int, Field(ge=3, le=60)]
 
 
+class Rate(Section):
+    """The angular rate without an attitude, from the stars of two full frames that follow each other.
+
+    ``fusion_distance_px``: the pixels of a star's two images are no further apart. ``piece_gap_px``: pieces
+    of a streak so near to each other are one star. ``compensation``: how a rolling shutter's centroids are
+    brought to one instant: by the rate of all stars, each by its own displacement, by the streak's length, or
+    not; stars slower than ``least_speed_px_s`` are left. A star that fits the rate worse than
+    ``tolerance_px`` is left out; ``min_stars`` are to fit. After ``frames_to_rate_only`` frames that turn too
+    fast to be tracked and give no valid attitude the unit measures the rate alone, and tries to identify
+    stars below ``identify_below_deg_s``. ``windows_by_rate``: the tracking windows are where the rate moves
+    the stars, and as wide as it is uncertain.
+    """
+
+    fusion_distance_px: Annotated[float, Field(ge=0, le=20)] = 2.0
+    piece_gap_px: Annotated[int, Field(ge=1, le=20)] = 3
+    compensation: Literal["rate", "displacement", "streak", "none"] = "rate"
+    least_speed_px_s: NonNegative = 2.0
+    tolerance_px: Annotated[float, Field(gt=0, le=20)] = 1.5
+    min_stars: Annotated[int, Field(ge=2, le=20)] = 2
+    frames_to_rate_only: Annotated[int, Field(ge=1, le=100)] = 2
+    identify_below_deg_s: Annotated[float, Field(ge=0, le=100)]
+    windows_by_rate: Switch = False
+
+
 class Wire(Section):
     """``dialect``: the language on the wire, a shipped one or ``module:NAME`` of your own; its settings
     stand in ``[dialects.NAME]``. Those of pus are the other keys here and ``[can]``."""
@@ -211,6 +235,7 @@ class UnitProfile(Section):
     detection: Detection
     identification: Identification
     tracking: Tracking
+    rate: Rate | None = None
     wire: Wire
     can: CanSection = CanSection()
     dialects: dict[str, dict[str, Any]] = Field(default_factory=dict)
