@@ -50,7 +50,11 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("window_pixels", "threshold", "pixel of a detection window smoothed and compared with the threshold"),
     ("reread_pixels", "threshold", "pixel of a window larger than the data cache, from memory once more"),
     ("windows", "threshold", "detection window set up"),
-    ("flow_pixels", "threshold", "pixel summed into mean and spread of an image and compared with its threshold"),
+    (
+        "flow_pixels",
+        "threshold",
+        "pixel summed into mean and spread of an image and compared with its threshold",
+    ),
     ("lit_pixels", "threshold", "pixel over that threshold, kept with its value for the next frame"),
     # clustering
     ("clusterings", "clustering", "clustering in a frame begun: its code is in no cache"),
@@ -121,7 +125,11 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("pivots_tried", "tracking", "spot tried as the pivot's"),
     ("spots_assigned", "tracking", "distance of a spot to a predicted star computed"),
     ("stars_followed", "tracking", "star of the frame before looked for in this one by optical flow"),
-    ("shifts_compared", "tracking", "whole-pixel shift of such a star whose squared differences are compared"),
+    (
+        "shifts_compared",
+        "tracking",
+        "whole-pixel shift of such a star whose squared differences are compared",
+    ),
     ("pixels_matched", "tracking", "pair of lit pixels of the two frames multiplied for a shift"),
     # attitude
     ("qmethod_stars", "attitude", "star summed into the attitude profile matrix"),

@@ -165,9 +165,7 @@ def _statistics(image: NDArray[np.uint16]) -> tuple[float, float]:
 
 
 @numba.njit(nogil=True)
-def _lit_runs(
-    image: NDArray[np.uint16], limit: int, runs: IntArray, row_start: IntArray
-) -> tuple[int, bool]:
+def _lit_runs(image: NDArray[np.uint16], limit: int, runs: IntArray, row_start: IntArray) -> tuple[int, bool]:
     """Runs of pixels over ``limit``. Returns (runs, overflowed)."""
     count = 0
     capacity = runs.shape[0]
@@ -452,7 +450,9 @@ def flow_between(
     if (before.width_px, before.height_px) != (after.width_px, after.height_px):
         raise ValueError("two frames of one flow have the same size")
     reach = parameters.largest_shift_px if foreseen_px is None else parameters.prediction_margin_px
-    expected = np.zeros((len(before), 2)) if foreseen_px is None else np.ascontiguousarray(foreseen_px, np.float64)
+    expected = (
+        np.zeros((len(before), 2)) if foreseen_px is None else np.ascontiguousarray(foreseen_px, np.float64)
+    )
     found = np.empty((len(before), 3))
     pairs, weighted = _follow(
         before.box, before.runs, before.row_start, before.offsets, before.values_dn,

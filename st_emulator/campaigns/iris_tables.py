@@ -1,11 +1,10 @@
-"""The rate tables of the optical-flow paper (Fasano et al. 2013, "F"): four turns, on the rig's display and on
-the sky.
+"""The rate tables of the optical-flow paper (Fasano et al. 2013, "F"): four turns, on a display and on the sky.
 
 A run is F's: 100 frames at 10 a second from an equatorial orbit of 500 km, boresight to the zenith at its
 start, turning at the case's rate besides. F made one run a case; where its sky began is not printed, so that
 here each run begins at another right ascension. F says that the sensor frame is the orbital frame turned by
-180 deg about axis 1 and, in the same passage, that Y_s is axis 2 and X_s, Z_s are opposite; only the second gives
-omega_2 = -0.06243 deg/s of its table 3, so it is the one taken.
+180 deg about axis 1 and, in the same passage, that Y_s is axis 2 and X_s, Z_s are opposite; only the second
+gives omega_2 = -0.06243 deg/s of its table 3, so it is the one taken.
 """
 
 from __future__ import annotations
@@ -65,8 +64,8 @@ CASES = (  # F tables 3, 4 and 5
 
 
 class ZenithOrbit:
-    """The attitude of F: a circular equatorial orbit, boresight to the zenith, X against the velocity, Y to the
-    south; turned besides at a constant rate about the sensor's axes. The Earth is behind.
+    """The attitude of F: a circular equatorial orbit, boresight to the zenith, X against the velocity, Y south;
+    turned besides at a constant rate about the sensor's axes. The Earth is behind.
     """
 
     def __init__(self, first_ra_deg: float, turn_deg_s: tuple[float, float, float]) -> None:
@@ -102,8 +101,8 @@ class ZenithOrbit:
 
 @dataclass(frozen=True)
 class Setting:
-    """What is run: case (index), source (of SOURCES), F's way or the unit's; for F's scaling laws a rate of so many
-    stars by chance, all weighed alike, and another focal length.
+    """What is run: case (index), source (of SOURCES), F's way or the unit's; for F's scaling laws a rate of so
+    many stars by chance, all weighed alike, and another focal length.
     """
 
     case: int
@@ -250,8 +249,8 @@ class Pooled:
 
 
 def pooled(runs: list[Run]) -> Pooled | None:
-    """None: no rate at all. Errors of one run share frames and stars, so that the standard error of the mean is
-    of the runs' means where there are more than three, else as if each error were alone.
+    """None: no rate at all. Errors of one run share frames and stars, so that the standard error of the mean
+    is of the runs' means where there are more than three, else as if each error were alone.
     """
     errors = np.concatenate([run.errors_deg_s for run in runs])
     if len(errors) < 2:

@@ -68,8 +68,8 @@ def _paths(
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Where the light of the stars' display pixels falls, px: xs, ys [n, steps], and which are shown.
 
-    matrices: float64[steps, 3, 3]; spread: float64[steps, 2], place on the display pixel, -1/2 to 1/2. display:
-    [pixel_tangent, columns, rows]. A star that leaves the display is not shown at all.
+    matrices: float64[steps, 3, 3]; spread: float64[steps, 2], place on the display pixel, -1/2 to 1/2.
+    display: [pixel_tangent, columns, rows]. A star that leaves the display is not shown at all.
     """
     pixel, half_columns, half_rows = display[0], display[1] / 2.0, display[2] / 2.0
     focal, cx, cy = optics[2], optics[3], optics[4]
