@@ -50,6 +50,12 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("window_pixels", "threshold", "pixel of a detection window smoothed and compared with the threshold"),
     ("reread_pixels", "threshold", "pixel of a window larger than the data cache, from memory once more"),
     ("windows", "threshold", "detection window set up"),
+    (
+        "flow_pixels",
+        "threshold",
+        "pixel summed into mean and spread of an image and compared with its threshold",
+    ),
+    ("lit_pixels", "threshold", "pixel over that threshold, kept with its value for the next frame"),
     # clustering
     ("clusterings", "clustering", "clustering in a frame begun: its code is in no cache"),
     ("run_tables", "clustering", "table of runs gone through: of a full frame or a detection window"),
@@ -133,6 +139,13 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("pivots_tried", "tracking", "spot tried as the pivot's"),
     ("spots_assigned", "tracking", "distance of a spot to a predicted star computed"),
     ("window_stars_paired", "tracking", "predicted star looked at for the one spot of its window"),
+    ("stars_followed", "tracking", "star of the frame before looked for in this one by optical flow"),
+    (
+        "shifts_compared",
+        "tracking",
+        "whole-pixel shift of such a star whose squared differences are compared",
+    ),
+    ("pixels_matched", "tracking", "pair of lit pixels of the two frames multiplied for a shift"),
     # attitude
     ("qmethod_stars", "attitude", "star summed into the attitude profile matrix"),
     ("qmethod_solves", "attitude", "largest eigenvector of the 4 x 4 matrix"),
@@ -148,6 +161,8 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("rate_stars", "attitude", "pair of such stars summed into the equations of a rate and compared with it"),
     ("streak_errors", "attitude", "expected errors of a streak's centroid, along it and across"),
     ("rate_least_squares", "attitude", "such equations solved"),
+    ("flow_rates", "attitude", "angular rate by least squares begun: a pass over the stars"),
+    ("flow_rate_stars", "attitude", "star whose two equations are weighed and turned into the triangle"),
     ("rates_over_limit", "attitude", "rate over its limit compared with its uncertainty"),
     ("false_solutions", "attitude", "chance of a false solution computed (logarithms)"),
     ("spread_stars", "attitude", "star whose angle from the stars' mean is computed for that chance"),

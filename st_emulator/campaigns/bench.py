@@ -125,8 +125,9 @@ class Chain:
 
 
 def with_section(profile: UnitProfile, section: str, **values: Any) -> UnitProfile:
-    """The unit with some figures of a section replaced."""
-    return profile.model_copy(update={section: getattr(profile, section).model_copy(update=values)})
+    """The unit with some figures of a section replaced; nothing that was computed of the old ones stays."""
+    changed = profile.model_copy(update={section: getattr(profile, section).model_copy(update=values)})
+    return UnitProfile.model_validate_json(changed.model_dump_json())
 
 
 __all__ = [

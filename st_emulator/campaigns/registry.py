@@ -62,6 +62,7 @@ def campaigns() -> dict[str, Campaign]:
         catalogue_counts,
         earth_rate,
         false_stars,
+        iris_tables,
         lost_in_space,
         single_stars,
         star_quadruples,
@@ -85,6 +86,7 @@ def campaigns() -> dict[str, Campaign]:
         "false-stars": Campaign(
             "identification among false stars", 200, false_stars.run, unit="zy3", plots=True
         ),
+        "iris-tables": Campaign("tables 4 and 5 of Fasano et al. 2013", 10, iris_tables.run, unit="iris"),
         "lost-in-space": Campaign("lost in space over random pointings", 1000, lost_in_space.run),
         "star-quadruples": Campaign(
             "the ROJA1 paper's real identifications", 3, star_quadruples.run, spread=False
@@ -108,6 +110,7 @@ CAMPAIGNS = (
     "detection",
     "earth-rate",
     "false-stars",
+    "iris-tables",
     "lost-in-space",
     "star-quadruples",
     "tracking-rate",
