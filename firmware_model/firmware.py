@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from .attitude import angular_rate
 from .configuration import FirmwareConfiguration, StarTables
+from .frame_log import FrameLog
 from .frame_result import FirmwareState, FrameContext, FrameResult, IdentifiedStars
-from .frame_search import ARCSEC_PER_RAD, FrameLog, SearchOutcome, directions, solve, velocity_over_c
+from .frame_search import ARCSEC_PER_RAD, SearchOutcome, directions, solve, velocity_over_c
 from .frame_trace import Trace
 from .full_frame_search import find, measure_rate
 from .identification.judgement import false_solutions_kernel, spread_kernel

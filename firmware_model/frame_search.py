@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +11,11 @@ import numpy.typing as npt
 from .aberration import SPEED_OF_LIGHT_KM_S, earth_velocity_km_s
 from .attitude import AttitudeSolution, robust_q_method
 from .configuration import FirmwareConfiguration, StarTables
+from .frame_log import FrameLog
 from .frame_result import NO_RECTS, FrameContext, IdentifiedStars
-from .frame_trace import StepRecord, Trace
 from .identification.interface import Identification
 from .image.spots import Spots
+from .rate_from_flow import FlowRate
 from .reasons import Reason
 from .star_motion import KeptFrame
 from .star_rate import StarRate
@@ -28,28 +27,6 @@ IntArray = npt.NDArray[np.int32]
 
 ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
 _NO_VELOCITY = np.zeros(3)
-ResultT = TypeVar("ResultT")
-
-
-@dataclass(frozen=True)
-class FrameLog:
-    """Where the steps of one frame put their work, and who looks on."""
-
-    work: Work
-    trace: Trace | None
-
-    def run(self, name: str, function: Callable[..., tuple[ResultT, Work]], **arguments: Any) -> ResultT:
-        """Run a step of ``frame_trace.STEPS``, count its work and show it to the trace."""
-        result, work = function(**arguments)
-        self.step(name, arguments, result, work)
-        return result
-
-    def step(self, name: str, arguments: Mapping[str, Any], result: Any, work: Work) -> None:
-        """Count a step's work and show it to the trace."""
-        total = self.work
-        total += work
-        if self.trace is not None:
-            self.trace(StepRecord(name, dict(arguments), result, work))
 
 
 @dataclass(frozen=True)
@@ -70,7 +47,7 @@ class SearchOutcome:
     identification: Identification | None = None
     false_solutions: float = math.inf
     kept: KeptFrame | None = None
-    star_rate: StarRate | None = None
+    star_rate: StarRate | FlowRate | None = None
     still_assumed: bool = False
 
 

@@ -23,6 +23,9 @@ STEPS: Final = (
     "compensate",  # rolling shutter, by each spot's own motion
     "places_by_rate",  # rolling shutter, by the rate
     "window_rate",  # the same of the windows' spots, from the predicted places
+    "flow_light",  # full frame to lit pixels and stars, for the optical flow
+    "flow",  # stars of the frame before followed into this one
+    "flow_rate",  # rate of the followed stars
     "plan",  # last attitude to detection windows
     "windows",  # pixels of the windows to spots
     "unit_vectors",  # pixel positions to directions

@@ -10,15 +10,18 @@ import numpy.typing as npt
 
 from .aberration import apparent_kernel
 from .configuration import FirmwareConfiguration, StarTables
+from .frame_log import FrameLog
 from .frame_result import FirmwareState, FrameContext
-from .frame_search import FrameLog, SearchOutcome, directions, solve
+from .frame_search import SearchOutcome, directions, solve
 from .identification.interface import Spikes
 from .identification.judgement import COUNT_NAMES
 from .image.detection import DetectionParameters, detect, detect_clusters
 from .image.frame import Frame
+from .image.optical_flow import light_up
 from .image.rolling_shutter import RowTiming, compensate
 from .image.spots import Spots
 from .image.streaks import StreakTable, fuse, streak_table
+from .rate_from_flow import FlowRate, rate_by_flow
 from .reasons import Reason
 from .star_motion import KeptFrame, RateParameters, StarMotion, moved_spots, places_by_rate, rate_of_fusion
 from .work import Work
@@ -88,6 +91,10 @@ def _find_moving(
 ) -> SearchOutcome:
     assert configuration.rate is not None
     image = frame.full()
+    if configuration.rate.flow is not None:
+        return _find_flowing(
+            image, context, state, configuration, tables, detection, velocity, log, identify_below_rad_s
+        )
     detected, work = detect_clusters(image, detection)
     log.step("detect", {"image": image, "parameters": detection}, detected.spots, work)
     refused = _refused(detected.spots, configuration)
@@ -110,6 +117,50 @@ def _find_moving(
     return replace(outcome, kept=kept, star_rate=rate, still_assumed=still_assumed)
 
 
+def _find_flowing(
+    image: npt.NDArray[np.uint16],
+    context: FrameContext,
+    state: FirmwareState,
+    configuration: FirmwareConfiguration,
+    tables: StarTables,
+    detection: DetectionParameters,
+    velocity: FloatArray,
+    log: FrameLog,
+    identify_below_rad_s: float,
+) -> SearchOutcome:
+    """The rate by optical flow; the attitude of the same image by detection and identification as at rest."""
+    assert configuration.rate is not None
+    assert configuration.rate.flow is not None
+    parameters, previous = configuration.rate.flow, state.previous
+    now = log.run("flow_light", light_up, image=image, parameters=parameters)
+    rate: FlowRate | None = None
+    interval_s = 0.0 if previous is None else (context.t_mid_ns - previous.t_mid_ns) * 1e-9
+    follows = previous is not None and previous.frame_index == context.frame_index - 1 and interval_s > 0.0
+    if previous is not None and previous.flow is not None and follows:
+        _, rate = rate_by_flow(
+            previous.flow,
+            now,
+            interval_s,
+            context.exposure_ns * 1e-9,
+            configuration.geometry,
+            parameters,
+            configuration.rate.flow_settings,
+            previous.flow_rate,
+            log,
+        )
+    kept = KeptFrame(context.frame_index, context.t_mid_ns, flow=now, flow_rate=rate)
+    if rate is not None and math.sqrt(float(rate.rate_rad_s @ rate.rate_rad_s)) >= identify_below_rad_s:
+        blank = Spots.empty(now.mean_dn, now.sigma_dn)
+        return SearchOutcome(Reason.RATE_TOO_HIGH, blank, kept=kept, star_rate=rate)
+    spots = log.run("detect", detect, image=image, parameters=detection)
+    refused = _refused(spots, configuration)
+    if refused:
+        return SearchOutcome(refused, spots, kept=kept, star_rate=rate)
+    stars = np.arange(min(len(spots), configuration.max_spots), dtype=np.int32)
+    outcome = _identify(spots, stars, configuration, tables, velocity, log)
+    return replace(outcome, kept=kept, star_rate=rate)
+
+
 def _motion(
     now: StreakTable,
     context: FrameContext,
@@ -119,7 +170,7 @@ def _motion(
     log: FrameLog,
 ) -> StarMotion:
     """Fusion with the frame before, rate, and the spots at the frame's time."""
-    if previous is None or previous.frame_index != context.frame_index - 1:
+    if previous is None or previous.table is None or previous.frame_index != context.frame_index - 1:
         return StarMotion(now.spots, None, None)
     interval_s = (context.t_mid_ns - previous.t_mid_ns) * 1e-9
     if interval_s <= 0.0:

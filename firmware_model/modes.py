@@ -40,7 +40,7 @@ MODE_MEANINGS: dict[Mode, str] = {
     Mode.LOST_IN_SPACE: "looking for the attitude over the whole sky, without any prior",
     Mode.TRACKING: "following the stars in detection windows from frame to frame",
     Mode.FAULT: "stopped by a fault; only a reset or a self-test leads out",
-    Mode.RATE_ONLY: "turning too fast for an attitude: the angular rate alone is measured, from frame to frame",
+    Mode.RATE_ONLY: "turning too fast for an attitude: the rate alone is measured, from frame to frame",
     Mode.OFF: "shut down; nothing is sent until power is cycled",
 }
 

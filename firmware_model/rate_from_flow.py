@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from .frame_log import FrameLog
 from .geometry import CameraGeometry
 from .image.optical_flow import FlowFrame, FlowParameters, OpticalFlow, flow_between
 from .work import Work
@@ -23,16 +24,17 @@ FloatArray = NDArray[np.float64]
 
 LEAST_STARS = 2
 PRIOR_DEGREES = 8.0
-"""ASSUMED: the expected error of a direction weighs like so many measured ones when the spread is estimated, so
-that few stars that agree by chance do not make a rate look better than it is."""
+"""ASSUMED: the expected error of a direction weighs like so many measured ones when the spread is estimated,
+so that few stars that agree by chance do not make a rate look better than it is."""
 OUTLIER_SIGMA = 3.5
 PASSES = 8
 
 
 @dataclass(frozen=True, slots=True)
 class FlowRate:
-    """rate_rad_s: float64[3], of the sensor relative to ICRS in sensor axes; covariance_rad2_s2: float64[3, 3];
-    residual: float64[n], how far each star is from where the rate puts it, in its expected errors; kept: bool[n].
+    """rate_rad_s: float64[3], of the sensor relative to ICRS in sensor axes; covariance_rad2_s2: float64[3,
+    3]; residual: float64[n], how far each star is from where the rate puts it, in its expected errors; kept:
+    bool[n].
     """
 
     rate_rad_s: FloatArray
@@ -74,15 +76,17 @@ def rate_from_directions(
     across_rad: FloatArray,
     foreseen_rad_s: FloatArray | None = None,
 ) -> tuple[FlowRate | None, Work]:
-    """Rate of the sensor from unit vectors float64[n, 3] of the same stars at two instants, ``interval_s`` apart.
+    """Rate of the sensor from unit vectors float64[n, 3] of the same stars at two instants, ``interval_s``
+    apart.
 
     u2 - u1 = (u1 + u2) / 2 x t holds exactly for a turn about t whose length is 2 tan(a / 2) of its angle a
     (Cayley), so that a large turn leaves no bias. The three equations of F (4) for a star are two, along its
-    shift and across, so that each can have its own weight: along_rad, across_rad, float64[n], expected errors of
-    the shift. foreseen_rad_s: a rate that says which way the shifts go; without it each goes its own, which makes
-    short ones look longer than they are where the two weights differ. Stars whose residual is over OUTLIER_SIGMA of the spread go, at most a third of them. The
-    covariance is that of the weights times the spread about them, shrunk towards 1 (PRIOR_DEGREES).
-    None: fewer than two stars, or all in one direction.
+    shift and across, so that each can have its own weight: along_rad, across_rad, float64[n], expected errors
+    of the shift. foreseen_rad_s: a rate that says which way the shifts go; without it each goes its own,
+    which makes short ones look longer than they are where the two weights differ. Stars whose residual is
+    over OUTLIER_SIGMA of the spread go, at most a third of them. The covariance is that of the weights times
+    the spread about them, shrunk towards 1 (PRIOR_DEGREES). None: fewer than two stars, or all in one
+    direction.
     """
     work = Work()
     count = len(before)
@@ -140,10 +144,10 @@ def rate_from_directions(
 class FlowSettings:
     """How a rate is made of a flow.
 
-    weighted: each shift weighs by its expected errors along itself and across, in REWEIGHTINGS passes; else all
-    weigh alike (F). predicted: the search is round where the last rate puts the stars, as long as its errors are
-    below most_sigma_px of shift; else every shift is tried (F). ASSUMED defaults: measured against F's way in the
-    campaign iris-tables, they are the better ones.
+    weighted: each shift weighs by its expected errors along itself and across, in REWEIGHTINGS passes; else
+    all weigh alike (F). predicted: the search is round where the last rate puts the stars, as long as its
+    errors are below most_sigma_px of shift; else every shift is tried (F). ASSUMED defaults: measured against
+    F's way in the campaign iris-tables, they are the better ones.
     """
 
     weighted: bool = True
@@ -176,51 +180,55 @@ def rate_by_flow(
     geometry: CameraGeometry,
     parameters: FlowParameters,
     settings: FlowSettings,
-    last: FlowRate | None = None,
-) -> tuple[tuple[OpticalFlow, FlowRate | None], Work]:
+    last: FlowRate | None,
+    log: FrameLog,
+) -> tuple[OpticalFlow, FlowRate | None]:
     """The flow from one frame to the next and the rate that it shows (F sections 2.1 and 2.2).
 
-    interval_s: from mid-exposure to mid-exposure. last: the rate of the frame before, if it is known.
+    interval_s: from mid-exposure to mid-exposure. last: the rate of the frame before, if it is known. The
+    steps are put into ``log``.
     """
-    work = Work()
     foreseen = None
     if settings.predicted and last is not None:
         across = float(np.sqrt(np.diag(last.covariance_rad2_s2)[:2].max()))
         if across * interval_s * geometry.focal_px <= settings.most_sigma_px:
             foreseen, counted = foreseen_shifts(before, geometry, last.rate_rad_s, interval_s)
-            work += counted
-    flow, counted = flow_between(before, after, parameters, foreseen)
-    work += counted
+            log.count(counted)
+    flow = log.run(
+        "flow", flow_between, before=before, after=after, parameters=parameters, foreseen_px=foreseen
+    )
     first, steps_before = geometry.counted_unit_vectors(flow.x_before_px, flow.y_before_px)
     second, steps_after = geometry.counted_unit_vectors(flow.x_px, flow.y_px)
-    work += Work({"unit_vectors": 2 * len(flow), "newton_steps": steps_before + steps_after})
+    vectors = {"unit_vectors": 2 * len(flow), "newton_steps": steps_before + steps_after}
+    log.count(Work(vectors))
     alike = np.full(len(flow), math.sqrt(2.0) * settings.least_error_px / geometry.focal_px)
+    directions = {"before": first, "after": second, "interval_s": interval_s}
     if not settings.weighted:
-        rate, counted = rate_from_directions(first, second, interval_s, alike, alike)
-        return (flow, rate), work + counted
-    rate = None
+        return flow, log.run(
+            "flow_rate", rate_from_directions, **directions, along_rad=alike, across_rad=alike
+        )
+    rate: FlowRate | None = None
     streak = np.hypot(flow.x_px - flow.x_before_px, flow.y_px - flow.y_before_px) * (exposure_s / interval_s)
     for _ in range(REWEIGHTINGS):
         along, across_px = flow.errors_px(streak, settings.least_error_px)
-        rate, counted = rate_from_directions(
-            first,
-            second,
-            interval_s,
-            along / geometry.focal_px,
-            across_px / geometry.focal_px,
-            None if rate is None else rate.rate_rad_s,
+        rate = log.run(
+            "flow_rate",
+            rate_from_directions,
+            **directions,
+            along_rad=along / geometry.focal_px,
+            across_rad=across_px / geometry.focal_px,
+            foreseen_rad_s=None if rate is None else rate.rate_rad_s,
         )
-        work += counted
         if rate is None:
             break
         moved = np.cross(first, rate.rate_rad_s)
         streak = np.sqrt((moved * moved).sum(axis=1)) * exposure_s * geometry.focal_px
-    return (flow, rate), work
+    return flow, rate
 
 
 def _robust_variance(residual: FloatArray) -> float:
-    """Variance of an axis of a star's residual by their median (of a Rayleigh distribution), over that expected;
-    not below a ninth."""
+    """Variance of an axis of a star's residual by their median (of a Rayleigh distribution), over that
+    expected; not below a ninth."""
     median = float(np.median(residual))
     return max(median * median / (2.0 * math.log(2.0)), 1.0 / 9.0)
 

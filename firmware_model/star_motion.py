@@ -7,16 +7,18 @@ brought to the frame's time where the shutter is a rolling one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from .camera_errors import CentroidError
 from .geometry import CameraGeometry
+from .image.optical_flow import FlowFrame, FlowParameters
 from .image.rolling_shutter import COMPENSATIONS, RowTiming, intervals
 from .image.spots import Spots, WindowSpots
 from .image.streaks import Fusion, StreakTable
+from .rate_from_flow import FlowRate, FlowSettings
 from .star_rate import StarRate, rate_of_pairs, turned_later
 from .work import Work
 
@@ -42,7 +44,8 @@ class RateParameters:
     least_speed_px_s: v* of paper M, slower stars are not compensated. tolerance_px: a pair that fits the rate
     worse than this is left out. min_stars: a rate needs so many pairs. frames_to_rate_only: after so many
     frames with a rate too high to track and no valid attitude the unit measures the rate alone.
-    identify_below_rad_s: and below this rate it tries to identify nevertheless.
+    identify_below_rad_s: and below this rate it tries to identify nevertheless. flow: the rate is that of an
+    optical flow, tuned by this, and nothing is fused; None: that of fused clusters.
     """
 
     fusion_distance_px: float = 2.0
@@ -52,6 +55,8 @@ class RateParameters:
     min_stars: int = 2
     frames_to_rate_only: int = 2
     identify_below_rad_s: float = 0.05
+    flow: FlowParameters | None = None
+    flow_settings: FlowSettings = field(default_factory=FlowSettings)
 
     def __post_init__(self) -> None:
         if self.compensation not in COMPENSATIONS:
@@ -66,11 +71,15 @@ class RateParameters:
 
 @dataclass(frozen=True)
 class KeptFrame:
-    """What is kept of a full frame for the one directly after it."""
+    """What is kept of a full frame for the one directly after it: clusters with their pixels, or the lit
+    pixels and the rate of an optical flow.
+    """
 
     frame_index: int
     t_mid_ns: int
-    table: StreakTable
+    table: StreakTable | None = None
+    flow: FlowFrame | None = None
+    flow_rate: FlowRate | None = None
 
 
 @dataclass(frozen=True)

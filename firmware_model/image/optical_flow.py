@@ -1,8 +1,9 @@
 """Optical flow of stars: where each star of one frame is in the next, without knowing which star it is.
 
-Fasano et al., "Optical flow-based angular rate", Sensors 13 (2013), section 2.1 (paper F). The whole image has one
-threshold, mean + 3 sigma; what is under it is zero. Stars of the first image are matched by the smallest sum of
-squared differences (SSD) over whole-pixel shifts, then refined by a centroid in the second image.
+Fasano et al., "Optical flow-based angular rate", Sensors 13 (2013), section 2.1 (paper F). The whole image
+has one threshold, mean + 3 sigma; what is under it is zero. Stars of the first image are matched by the
+smallest sum of squared differences (SSD) over whole-pixel shifts, then refined by a centroid in the second
+image.
 """
 
 from __future__ import annotations
@@ -42,11 +43,11 @@ class FlowParameters:
     """What the optical flow is tuned by.
 
     sigma_factor: threshold over the mean of the whole image, in standard deviations of the whole image (F
-    section 2.1: 3). min_pixels: stars of fewer lit pixels are dropped (F: 3). max_pixels, max_extent_px: clusters
-    beyond are no stars. largest_shift_px: of a star between two frames, on either axis: the largest rate.
-    margin_px: the window of the refining centroid is the star's plus this (F: 2). prediction_margin_px: where a
-    shift is foreseen, the search is only so far round it (F section 5 proposes such a feedback). max_stars: the
-    brightest are followed. max_runs: size of the run table.
+    section 2.1: 3). min_pixels: stars of fewer lit pixels are dropped (F: 3). max_pixels, max_extent_px:
+    clusters beyond are no stars. largest_shift_px: of a star between two frames, on either axis: the largest
+    rate. margin_px: the window of the refining centroid is the star's plus this (F: 2). prediction_margin_px:
+    where a shift is foreseen, the search is only so far round it (F section 5 proposes such a feedback).
+    max_stars: the brightest are followed. max_runs: size of the run table.
     """
 
     sigma_factor: float = 3.0
@@ -72,8 +73,8 @@ class FlowFrame:
     """The lit pixels of one image and its stars: all that the next frame needs of this one.
 
     runs: int32[r, 3] (row, first column, end column), row by row, left to right; row_start: int32[rows + 1];
-    offsets: int32[r], where the values of a run begin in values_dn: float32[lit], DN over the mean. x_px, y_px,
-    flux_dn: of the stars, brightest first; box: int32[n, 4], first and last column, first and last row.
+    offsets: int32[r], where the values of a run begin in values_dn: float32[lit], DN over the mean. x_px,
+    y_px, flux_dn: of the stars, brightest first; box: int32[n, 4], first and last column, first and last row.
     mean_dn, sigma_dn: of the whole image. overflowed: more runs than the table holds; no stars then.
     """
 
@@ -99,9 +100,9 @@ class FlowFrame:
 
 @dataclass(frozen=True, slots=True)
 class OpticalFlow:
-    """Stars found in both frames: index into the first frame's stars, places in both, px; ssd of the match as a
-    share of the star's own energy (0: the same picture, 1: nothing there). length_px: of the lit streak in the
-    first frame; noise: of the star's lit pixels over their sum.
+    """Stars found in both frames: index into the first frame's stars, places in both, px; ssd of the match as
+    a share of the star's own energy (0: the same picture, 1: nothing there). length_px: of the lit streak in
+    the first frame; noise: of the star's lit pixels over their sum.
     """
 
     star: IntArray
@@ -130,11 +131,12 @@ class OpticalFlow:
         )
 
     def errors_px(self, streak_px: FloatArray, least_px: float) -> tuple[FloatArray, FloatArray]:
-        """Expected errors of the shifts along themselves and across, 1 sigma, where the stars' streaks are so long.
+        """Expected errors of the shifts along themselves and across, 1 sigma, where the stars' streaks are so
+        long.
 
-        Of a streak that is seen shorter the rest lies under the threshold: its middle may be anywhere along the
-        whole, in both images. The length must not be taken from the star's own shift, for then one that is
-        measured too short would look the better one. least_px: of a centroid at its best.
+        Of a streak that is seen shorter the rest lies under the threshold: its middle may be anywhere along
+        the whole, in both images. The length must not be taken from the star's own shift, for then one that
+        is measured too short would look the better one. least_px: of a centroid at its best.
         """
         missing = np.maximum(streak_px - self.length_px, 0.0)
         floor = 2.0 * least_px * least_px
@@ -208,8 +210,8 @@ def light_up(image: NDArray[np.uint16], parameters: FlowParameters) -> tuple[Flo
     """The lit pixels and the stars of an image ``uint16[rows, columns]``, DN.
 
     A pixel is lit where it is over mean + ``sigma_factor`` standard deviations of the whole image (F section
-    2.1). Lit pixels that touch are one star; its place is the mean of its pixels, weighted by what they have over
-    the image's mean. Stars at the very edge are dropped: a part of them may be outside.
+    2.1). Lit pixels that touch are one star; its place is the mean of its pixels, weighted by what they have
+    over the image's mean. Stars at the very edge are dropped: a part of them may be outside.
     """
     if image.ndim != 2 or image.dtype != np.uint16:
         raise ValueError(f"an image is uint16[rows, columns], not {image.dtype}{list(image.shape)}")
@@ -291,9 +293,9 @@ def _coarse_shift(
     """The whole-pixel shift of the least SSD: (dx, dy, SSD / the star's energy, pairs of pixels).
 
     own: float64[h, w], the star's window of the first image, first pixel at (first_column, first_row); shifts
-    from (low_x, low_y) on, ``shifts`` on either axis. SSD = sum own^2 + sum second^2 - 2 sum own second, and only
-    lit pixels of the second image add to its last two sums. Of equal shifts the one nearest to that foreseen
-    wins. Sums are of whole numbers of 1/16 DN in order, so that every machine finds the same.
+    from (low_x, low_y) on, ``shifts`` on either axis. SSD = sum own^2 + sum second^2 - 2 sum own second, and
+    only lit pixels of the second image add to its last two sums. Of equal shifts the one nearest to that
+    foreseen wins. Sums are of whole numbers of 1/16 DN in order, so that every machine finds the same.
     """
     height, width = own.shape
     for i in range(shifts):

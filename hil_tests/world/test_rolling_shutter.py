@@ -207,7 +207,9 @@ def test_a_window_is_the_same_bits_as_the_full_frame(
             np.testing.assert_array_equal(part, mean[y0:y1, x0:x1])
 
 
-def test_false_spots_stand_still_for_an_exposure_of_each_row(camera: CameraModel, hipparcos: StarField) -> None:
+def test_false_spots_stand_still_for_an_exposure_of_each_row(
+    camera: CameraModel, hipparcos: StarField
+) -> None:
     for readout_ns in (0, 150_000_000):
         quiet = dataclasses.replace(camera.without_noise(), rolling_readout_ns=readout_ns)
         scene = SceneRenderer(

@@ -1,4 +1,5 @@
-"""The rate tables of the optical-flow paper (Fasano et al. 2013, "F"): four turns, on a display and on the sky.
+"""The rate tables of the optical-flow paper (Fasano et al. 2013, "F"): four turns, on a display and on the
+sky.
 
 A run is F's: 100 frames at 10 a second from an equatorial orbit of 500 km, boresight to the zenith at its
 start, turning at the case's rate besides. F made one run a case; where its sky began is not printed, so that
@@ -21,9 +22,11 @@ from ..bench.world_of import camera_model, sky_of
 from ..compiled_kernels import keep_compiled_kernels
 from ..device.calibration import firmware_configuration
 from ..device.parameters import default_parameters
+from ..firmware_model.frame_log import FrameLog
 from ..firmware_model.geometry import CameraGeometry
 from ..firmware_model.image.optical_flow import FlowParameters, OpticalFlow, light_up
 from ..firmware_model.rate_from_flow import FlowRate, FlowSettings, rate_by_flow, rate_from_directions
+from ..firmware_model.work import Work
 from ..report import Check, TextTable, check
 from ..units.profile import UnitProfile
 from ..world import quaternion
@@ -64,8 +67,8 @@ CASES = (  # F tables 3, 4 and 5
 
 
 class ZenithOrbit:
-    """The attitude of F: a circular equatorial orbit, boresight to the zenith, X against the velocity, Y south;
-    turned besides at a constant rate about the sensor's axes. The Earth is behind.
+    """The attitude of F: a circular equatorial orbit, boresight to the zenith, X against the velocity, Y
+    south; turned besides at a constant rate about the sensor's axes. The Earth is behind.
     """
 
     def __init__(self, first_ra_deg: float, turn_deg_s: tuple[float, float, float]) -> None:
@@ -101,8 +104,8 @@ class ZenithOrbit:
 
 @dataclass(frozen=True)
 class Setting:
-    """What is run: case (index), source (of SOURCES), F's way or the unit's; for F's scaling laws a rate of so
-    many stars by chance, all weighed alike, and another focal length.
+    """What is run: case (index), source (of SOURCES), F's way or the unit's; for F's scaling laws a rate of
+    so many stars by chance, all weighed alike, and another focal length.
     """
 
     case: int
@@ -160,6 +163,7 @@ def run_once(profile: UnitProfile, seed: int, settings: tuple[Setting, ...], ind
     exposure_ns = scene.camera.exposure_ns
     bright_dn = scene.camera.electrons_per_s_mag0 * exposure_ns * 1e-9 / scene.camera.electrons_per_dn
     bright_dn *= 10.0 ** (-0.4 * FAINTEST_OF_LAWS)
+    log = FrameLog(Work(), None)
     before, last, before_ns = None, None, 0
     errors, sigmas, stars, pixels, off_axis, without = [], [], [], [], [], 0
     for frame_number in range(FRAMES):
@@ -168,8 +172,8 @@ def run_once(profile: UnitProfile, seed: int, settings: tuple[Setting, ...], ind
         middle_ns = frame.exposure_mid_ns
         if before is not None:
             interval_s = (middle_ns - before_ns) * 1e-9
-            (flow, last), _ = rate_by_flow(
-                before, after, interval_s, exposure_ns * 1e-9, geometry, parameters, how, last
+            flow, last = rate_by_flow(
+                before, after, interval_s, exposure_ns * 1e-9, geometry, parameters, how, last, log
             )
             if setting.by_chance is not None:
                 chance = np.random.default_rng([seed, number, frame_number])

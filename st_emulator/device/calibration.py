@@ -18,6 +18,7 @@ from ..firmware_model.identification.interface import (
     MultiPolesParameters,
 )
 from ..firmware_model.image.detection import DetectionParameters
+from ..firmware_model.image.optical_flow import FlowParameters
 from ..firmware_model.processor import CycleBudget, ProcessorProfile
 from ..firmware_model.tracking import TrackingParameters
 from ..units.profile import UnitProfile
@@ -100,6 +101,19 @@ def _rate_parameters(profile: UnitProfile) -> RateParameters | None:
         min_stars=profile.rate.min_stars,
         frames_to_rate_only=profile.rate.frames_to_rate_only,
         identify_below_rad_s=float(np.radians(profile.rate.identify_below_deg_s)),
+        flow=_flow_parameters(profile) if profile.rate.method == "optical_flow" else None,
+    )
+
+
+def _flow_parameters(profile: UnitProfile) -> FlowParameters:
+    """Tuned to the largest rate that the unit measures."""
+    assert profile.rate is not None
+    most_rad = np.radians(profile.rate.most_deg_s) * profile.frame_period_ns * 1e-9
+    corner = 1.0 + np.tan(np.radians(profile.diagonal_deg / 2)) ** 2  # a shift is larger off the boresight
+    return FlowParameters(
+        sigma_factor=profile.rate.flow_sigma,
+        min_pixels=profile.rate.flow_min_pixels,
+        largest_shift_px=max(4, int(np.ceil(profile.focal_px * most_rad * corner))),
     )
 
 

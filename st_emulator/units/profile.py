@@ -188,8 +188,15 @@ class Rate(Section):
     ``tolerance_px`` is left out; ``min_stars`` are to fit. After ``frames_to_rate_only`` frames that turn too
     fast to be tracked and give no valid attitude the unit measures the rate alone, and tries to identify
     stars below ``identify_below_deg_s``. ``windows_by_rate``: the tracking windows are where the rate moves
-    the stars, and as wide as it is uncertain.
+    the stars, and as wide as it is uncertain. ``method``: the rate of fused clusters, or of an optical flow:
+    stars of at least ``flow_min_pixels`` pixels over the image's mean and ``flow_sigma`` of its standard
+    deviation, followed up to ``most_deg_s``; for a global shutter.
     """
+
+    method: Literal["fusion", "optical_flow"] = "fusion"
+    flow_sigma: Annotated[float, Field(ge=1, le=20)] = 3.0
+    flow_min_pixels: Annotated[int, Field(ge=1, le=50)] = 3
+    most_deg_s: Annotated[float, Field(gt=0, le=30)] = 5.5
 
     fusion_distance_px: Annotated[float, Field(ge=0, le=20)] = 2.0
     piece_gap_px: Annotated[int, Field(ge=1, le=20)] = 3

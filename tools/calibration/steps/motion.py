@@ -20,7 +20,13 @@ from st_emulator.firmware_model.work import COUNTS, Work
 from tools.arm_timing.machine import ArmMachine, Cost
 from tools.calibration.steps.attitude import place_camera, place_vectors
 from tools.calibration.steps.step import MismatchError, StageRun
-from tools.calibration.struct_layout import layout_of, place_struct, read_struct, read_structs, reserve_structs
+from tools.calibration.struct_layout import (
+    layout_of,
+    place_struct,
+    read_struct,
+    read_structs,
+    reserve_structs,
+)
 
 __all__ = ["PLACE_BOUND_PX", "RATE_BOUND", "STEPS", "place_runs"]
 
