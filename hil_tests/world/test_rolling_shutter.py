@@ -69,7 +69,7 @@ MOTIONS: dict[str, tuple[Trajectory, tuple[float, float]]] = {
     # stands still at the five even instants, and at nine and seventeen
     "80 Hz": (shaking(turning(0.0, 0.0, 0.0), 80.0), (70.3, 60.6)),
     "50 Hz from within a slew": (shaking(turning(0.0, 1.0, 0.0), 50.0, 90_000_000), (70.3, 60.6)),
-    "a slew that starts": (SlewTrajectory(Q, [Hold(0.17), RateAxis((3.0, 4.0, 0.0), 2.0, 0.0)]), (70.3, 60.6)),
+    "a slew that starts": (SlewTrajectory(Q, [Hold(0.17), RateAxis((3.0, 4.0, 0.0), 2.0, 0)]), (70.3, 60.6)),
     "a ramp": (SlewTrajectory(Q, [Hold(0.02), RateAxis((3.0, -2.0, 0.0), 2.0, 0.1)]), (70.3, 60.6)),
 }  # fmt: skip
 READOUTS_MS = (0, 50, 200)
@@ -149,12 +149,12 @@ def test_a_star_that_goes_with_the_shutter_is_seen_for_longer(make_field: Make, 
         assert total == pytest.approx(2e5 / (1.0 - sign * rows_s * row_time_s), rel=0.01)
 
 
-def test_the_frames_times() -> None:
+def test_the_frames_times(make_field: Make) -> None:
     scene = SceneRenderer(
         dataclasses.replace(PLAIN, rolling_readout_ns=200_000_000),
-        StarField(*(np.zeros(0, np.int32), np.zeros((0, 3)), np.zeros(0, np.float32)), np.zeros(0, np.float32), 2026.0),
+        make_field(np.zeros((0, 3)), []),
         turning(0.0, 0.0, 0.0),
-    )  # fmt: skip
+    )
     frame = scene.frame(0, 1000, EXPOSURE_NS)
     last_ns = 119 * 200_000_000 // 120
     assert frame.exposure_mid_ns == 1000 + (EXPOSURE_NS + last_ns) // 2

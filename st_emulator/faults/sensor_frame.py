@@ -14,7 +14,7 @@ from ..clock import NS_PER_S
 from ..firmware_model.image.frame import Frame
 from ..units.profile import UnitProfile
 from ..world import noise, sensor_faults
-from ..world.point_spread import Scene
+from ..world.lit_scene import Scene
 from ..world.windows import checked_windows, cut_windows, window_offsets
 from .fault import AtSensor, Exposure, Reach, SettingsT
 

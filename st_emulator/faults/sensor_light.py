@@ -12,7 +12,8 @@ from ..clock import NS_PER_S
 from ..firmware_model.image.frame import Frame
 from ..world import sensor_faults
 from ..world.bodies import STEEP, Earth, Moon, Sun
-from ..world.point_spread import SUPPORT_SIGMA, Scene
+from ..world.lit_scene import Scene
+from ..world.point_spread import SUPPORT_SIGMA
 from .fault import Exposure, FaultKind, FaultSettings, Reach
 from .sensor_frame import F64, STREAM_PLACES, Converter, LitFrame, SensorFault
 

@@ -11,7 +11,7 @@ from pydantic import Field
 from ..clock import NS_PER_S
 from ..firmware_model.image.frame import Frame
 from ..world import sensor_faults
-from ..world.point_spread import Scene
+from ..world.lit_scene import Scene
 from .fault import Exposure, FaultKind, FaultSettings
 from .sensor_frame import F64, Converter, LitFrame, SensorFault
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ..firmware_model.image.frame import Frame
 from ..world import noise, sensor_faults
-from ..world.point_spread import Scene
+from ..world.lit_scene import Scene
 from ..world.windows import window_offsets
 from .fault import Exposure, FaultKind, FaultSettings, Reach, SettingsT
 from .sensor_frame import I32, I64, STREAM_PLACES, U16, Converter, LitFrame, SensorFault, SpoiltFrame

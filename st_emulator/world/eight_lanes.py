@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -18,7 +18,8 @@ _EIGHT = ir.VectorType(ir.FloatType(), LANES)
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    data = cgutils.create_struct_proxy(kind)(context, builder, value=array).data
+    proxy: Any = cgutils.create_struct_proxy
+    data = proxy(kind)(context, builder, value=array).data
     return builder.bitcast(builder.gep(data, [at]), _EIGHT.as_pointer())
 
 
@@ -29,7 +30,7 @@ def _eight_of(builder: Any, number: Any) -> Any:
 
 
 @intrinsic
-def add_scaled(typing: Any, to: Any, at: Any, amount: Any, shares: Any, first: Any) -> Any:
+def _add_scaled(typing: Any, to: Any, at: Any, amount: Any, shares: Any, first: Any) -> Any:
     """to[at : at + 8] += amount * shares[first : first + 8]; contiguous float32[n], no bounds are checked."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -44,7 +45,7 @@ def add_scaled(typing: Any, to: Any, at: Any, amount: Any, shares: Any, first: A
 
 
 @intrinsic
-def between(typing: Any, table: Any, here: Any, after: Any, part: Any, out: Any, at: Any) -> Any:
+def _between(typing: Any, table: Any, here: Any, after: Any, part: Any, out: Any, at: Any) -> Any:
     """out[at + i] = table[here + i] + part * (table[after + i] - table[here + i]), i below 8; as above."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -57,3 +58,8 @@ def between(typing: Any, table: Any, here: Any, after: Any, part: Any, out: Any,
         return context.get_dummy_value()
 
     return types.void(table, types.int64, types.int64, types.float32, out, types.int64), generate
+
+
+# as kernels call them, without the first argument, which the compiler gives
+add_scaled: Any = _add_scaled
+between: Any = _between

@@ -12,16 +12,13 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from .eight_lanes import LANES, add_scaled, between
-
-if TYPE_CHECKING:
-    from .point_spread import Scene
+from .lit_scene import Scene
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

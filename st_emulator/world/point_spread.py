@@ -11,13 +11,13 @@ same on every machine.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from .exposed_rows import add_stars_by_rows
+from .lit_scene import Scene
 from .noise import digitise, normals_of, words_of
 
 F32 = NDArray[np.float32]
@@ -63,38 +63,6 @@ def _shares(first: int, end: int, centre: float, inverse_sigma: float, table: F6
         right = phi((i + 0.5 - centre) * inverse_sigma, table)
         out[i - first] = right - left
         left = right
-
-
-class Scene(NamedTuple):
-    """What the mean charge of every pixel of one frame follows from.
-
-    xs, ys float64[n, steps], light float64[n], box int32[n, 4]: the stars, see `star_index.image_paths`;
-    sigma_px of the point spread; stray: electrons in the exposure, uniform; glow_columns float32[g, width],
-    glow_rows float32[g, height]: g more layers of stray light, each the product of its column and row
-    factors; response, dark: see `noise.fixed_pattern`; exposure_s.
-
-    row_starts float64[height], row_span: with a rolling shutter, when each row's exposure starts, and how
-    long it lasts, in sub-steps; xs, ys are then [n, steps + 1] at the ends of the sub-steps, and lit int32[n,
-    2] the first sub-step that matters for a star and the one behind the last; share_table: of
-    `exposed_rows`. row_span 0: all rows are exposed in all sub-steps, and these four are not looked at.
-    """
-
-    xs: F64
-    ys: F64
-    light: F64
-    box: I32
-    sigma_px: float
-    phi_table: F64
-    stray: float
-    glow_columns: F32
-    glow_rows: F32
-    response: F32
-    dark: F32
-    exposure_s: float
-    row_starts: F64
-    row_span: float
-    lit: I32
-    share_table: F32
 
 
 @njit(nogil=True, error_model="numpy")

@@ -21,6 +21,7 @@ from .camera import CameraModel
 from .exposed_rows import share_table
 from .exposure_path import MAX_STEP_PX, Sight, exposure_path
 from .false_spots import FalseSpots
+from .lit_scene import Scene
 from .star_index import PATH_BLOCK, image_paths, star_index_of
 from .stars import SPEED_OF_LIGHT_KM_S, StarField
 from .trajectory import Trajectory
@@ -344,9 +345,9 @@ class SceneRenderer:
             return -100.0
         return 2.5 * math.log10(brightest / least) if least > 0.0 else 100.0
 
-    def _scene(self, frame: RenderedFrame) -> point_spread.Scene:
+    def _scene(self, frame: RenderedFrame) -> Scene:
         light = frame.light
-        return point_spread.Scene(
+        return Scene(
             xs=light.xs,
             ys=light.ys,
             light=light.electrons,

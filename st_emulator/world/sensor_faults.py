@@ -17,8 +17,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .lit_scene import Scene
 from .noise import POISSON_EXACT_BELOW, charge_of, normals_of, words_of
-from .point_spread import PHI_TABLE, SUPPORT_SIGMA, Scene, add_background, add_stars, stars_near
+from .point_spread import PHI_TABLE, SUPPORT_SIGMA, add_background, add_stars, stars_near
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
