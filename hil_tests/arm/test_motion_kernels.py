@@ -1,4 +1,4 @@
-"""Streaks, fusion, rate of the stars and rolling shutter in C: what the Python stages give on made-up skies."""
+"""Streaks, fusion, star rate and rolling shutter in C: what the Python stages give on made-up skies."""
 
 from __future__ import annotations
 
