@@ -419,6 +419,44 @@ int32_t st_measure_spots(const st_image *image, const st_run *runs, const int32_
     return found;
 }
 
+/* The centroid of a cluster as it is; returns why it is no spot, or -1. */
+static int32_t mean_of(const st_cluster *cluster, const st_spot_limits *limits, st_spot *spot)
+{
+    double sum = (double)cluster->sum;
+    uint32_t peak = (uint32_t)cluster->brightest_dn << ST_BACKGROUND_BITS;
+    if (peak < (uint32_t)cluster->background)
+        peak = (uint32_t)cluster->background;
+    spot->flux_dn = sum * (1.0 / (1 << ST_BACKGROUND_BITS));
+    spot->peak_dn = (double)((int64_t)peak - cluster->background) * (1.0 / (1 << ST_BACKGROUND_BITS));
+    spot->magnitude = -2.5 * log10(spot->flux_dn / limits->zero_point_dn);
+    if (!(spot->magnitude <= limits->magnitude_limit))
+        return ST_FAINT;
+    if (spot->peak_dn > limits->max_peak_fraction * spot->flux_dn)
+        return ST_SHARP;
+    spot->x_px = cluster->origin_x + (double)cluster->sum_x / sum;
+    spot->y_px = cluster->origin_y + (double)cluster->sum_y / sum;
+    spot->pixels = cluster->pixels;
+    spot->flags = cluster->brightest_dn >= limits->saturation_dn ? ST_SATURATED : 0;
+    return -1;
+}
+
+int32_t st_measure_clusters(const st_image *image, const st_cluster *clusters, int32_t number,
+                            const st_spot_limits *limits, st_spot *spots, int8_t *outcome, int32_t *rejected)
+{
+    int32_t found = 0;
+    for (int32_t i = 0; i < number; i++) {
+        int32_t reason = refused(image, &clusters[i], limits);
+        if (reason < 0)
+            reason = mean_of(&clusters[i], limits, &spots[found]);
+        outcome[i] = (int8_t)reason;
+        if (reason < 0)
+            found++;
+        else
+            rejected[reason]++;
+    }
+    return found;
+}
+
 /* The bits of a positive double are in its order. */
 static uint64_t key_of(const st_spot *spot)
 {

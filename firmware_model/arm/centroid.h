@@ -57,8 +57,7 @@ int32_t st_measure_spots(const st_image *image, const st_run *runs, const int32_
 
 /* The same by the clusters alone: energy-weighted mean and energy of each, cluster_centroid.py. */
 int32_t st_measure_clusters(const st_image *image, const st_cluster *clusters, int32_t number,
-                            const st_spot_limits *limits, st_spot *spots, int8_t *outcome,
-                            int32_t *rejected);
+                            const st_spot_limits *limits, st_spot *spots, int8_t *outcome, int32_t *rejected);
 
 /* Order spots by flux, brightest first, equal ones as they were; the first most of them go to ordered.
  * order[2 * count]: room. Returns how many went there. */

@@ -7,7 +7,7 @@
 #include <math.h>
 
 #define DEGENERATE_INFORMATION 1.25e-9 /* an eighth of the ratio of smallest to largest, 1e-8 */
-#define ROWS 6                         /* of a star's two equations, before what was seen */
+#define ROWS 6 /* of a star's two equations, before what was seen */
 
 static double floored(double flux)
 {
@@ -44,7 +44,8 @@ void st_pair_errors(const st_star_pairs *pairs, const st_row_timing *timing, con
         double along_1, along_2, across_1, across_2;
         streak_variances(error, floored(pairs->flux_before[i]), error->noise_before_dn, length, &along_1,
                          &across_1);
-        streak_variances(error, floored(pairs->flux_now[i]), error->noise_now_dn, length, &along_2, &across_2);
+        streak_variances(error, floored(pairs->flux_now[i]), error->noise_now_dn, length, &along_2,
+                         &across_2);
         interval_s[i] = interval;
         along_rad[i] = sqrt(along_1 + along_2) / focal_px;
         across_rad[i] = sqrt(across_1 + across_2) / focal_px;
@@ -125,8 +126,7 @@ static double equations(const double *before, const double *now, double share, d
 
 int32_t st_star_rate(const double *before, const double *now, const double *interval_s,
                      const double *along_rad, const double *across_rad, int32_t count, double tolerance_rad,
-                     int32_t least, int32_t *kept, double *residuals, double *scratch,
-                     st_rate_result *result)
+                     int32_t least, int32_t *kept, double *residuals, double *scratch, st_rate_result *result)
 {
     double *rows = scratch;
     double *seen = scratch + ROWS * count;
@@ -224,9 +224,8 @@ int32_t st_too_fast(const double *rate_rad_s, const double *covariance, double l
 }
 
 void st_compensate(const double *x_before, const double *y_before, const int32_t *pair_before,
-                   const int32_t *pair_now, int32_t pairs, const int32_t *extent,
-                   const st_row_timing *timing, int32_t by_streak, double least_speed_px_s, double *x,
-                   double *y)
+                   const int32_t *pair_now, int32_t pairs, const int32_t *extent, const st_row_timing *timing,
+                   int32_t by_streak, double least_speed_px_s, double *x, double *y)
 {
     for (int32_t pair = 0; pair < pairs; pair++) {
         int32_t i = pair_before[pair];
@@ -247,8 +246,7 @@ void st_compensate(const double *x_before, const double *y_before, const int32_t
             speed_x = across / lit_s;
             speed_y = down / lit_s;
         }
-        if (lit_s <= 0.0 ||
-            speed_x * speed_x + speed_y * speed_y < least_speed_px_s * least_speed_px_s)
+        if (lit_s <= 0.0 || speed_x * speed_x + speed_y * speed_y < least_speed_px_s * least_speed_px_s)
             continue;
         double until_s = timing->row_time_s * (timing->middle_row - y[j]);
         x[j] += speed_x * until_s;
@@ -257,8 +255,7 @@ void st_compensate(const double *x_before, const double *y_before, const int32_t
 }
 
 int32_t st_pair_windows(const int32_t *star_window, int32_t stars, const int32_t *spot_window, int32_t spots,
-                        int32_t windows, int32_t *first_spot, int32_t *stars_of, int32_t *star,
-                        int32_t *spot)
+                        int32_t windows, int32_t *first_spot, int32_t *stars_of, int32_t *star, int32_t *spot)
 {
     int32_t pairs = 0;
     for (int32_t window = 0; window < windows; window++) {

@@ -38,8 +38,7 @@ int32_t st_streaks_seen(const st_cluster *clusters, int32_t number)
             extents[later] = extents[later - 1];
         }
         sums[place] = cluster->sum;
-        extents[place] =
-            most_of(cluster->last_x - cluster->first_x, cluster->last_y - cluster->first_y) + 1;
+        extents[place] = most_of(cluster->last_x - cluster->first_x, cluster->last_y - cluster->first_y) + 1;
     }
     for (int32_t i = 0; i < judged; i++)
         streaks += extents[i] >= STREAK_EXTENT_PX;
@@ -162,9 +161,9 @@ int32_t st_fuse(const st_streak_table *before, const st_streak_table *now, doubl
         for (int32_t j = 0; j < now->count; j++, other += 4) {
             if (other[0] > right || other[1] < left || other[2] > bottom || other[3] < top)
                 continue;
-            int32_t distance =
-                run_distance(before->runs + before->run_start[i], before->runs + before->run_start[i + 1],
-                             now->runs + now->run_start[j], now->runs + now->run_start[j + 1], limit);
+            int32_t distance = run_distance(
+                before->runs + before->run_start[i], before->runs + before->run_start[i + 1],
+                now->runs + now->run_start[j], now->runs + now->run_start[j + 1], limit);
             if (distance > limit)
                 continue;
             double unlike = fabs(before->magnitude[i] - now->magnitude[j]);

@@ -151,6 +151,7 @@ def memory_of(subject: Subject) -> Memory:
         ),
         MemoryItem("images", "image store for download", IMAGE_HEADER_BYTES + image, SIZED),
         *_detection_items(subject, configuration),
+        *_streak_items(configuration),
         MemoryItem(
             "working tables",
             f"search of {profile.identification.algorithm}",
@@ -249,6 +250,23 @@ def _detection_items(subject: Subject, configuration: FirmwareConfiguration) -> 
             SIZED,
             f"after {tracking.max_missed} frames lost; merged ones are no larger than the image",
         ),
+    ]
+
+
+def _streak_items(configuration: FirmwareConfiguration) -> list[MemoryItem]:
+    """What a unit that measures its rate without an attitude keeps of a frame for the next: both at once."""
+    if configuration.rate is None:
+        return []
+    runs, spots = configuration.detection.max_runs, configuration.detection.max_spots
+    table = runs * RUN_FIELDS * INT32 + spots * (5 * INT32 + SPOT_FIELDS * FLOAT64)
+    return [
+        MemoryItem(
+            "working tables",
+            f"spots of two frames with their runs, {spots} and {runs} each",
+            2 * table + runs * 2 * INT32,
+            SIZED,
+            "fusion of the frame before and this one; room to join pieces of streaks",
+        )
     ]
 
 

@@ -138,6 +138,7 @@ def frames_of(
     search_limit: bool = True,
 ) -> Iterator[FrameInputs]:
     """``skies`` random skies of a seed: of each one frame lost in space and ``tracked`` frames tracked.
+    The frame lost in space of a unit that fuses frames (``[rate]``) follows another full one.
 
     rate_deg_s: about a random axis. frames_lost: frames without attitude between two of them, so that the
     windows are wider. parameters: on-board parameters that differ from the unit's. search_limit: whether the
@@ -220,6 +221,13 @@ def _chain(
     state = FirmwareState.initial()
     acquired = True
     before: RenderedFrame | None = None
+    if configuration.rate is not None:
+        # The heavier of a unit's frames lost in space: one that is fused with the full frame before it.
+        first = renderer.frame(index, start_ns, configuration.exposure_ns)
+        context = synchronised_context(first, -1, Mode.LOST_IN_SPACE, renderer.start_tai_ns)
+        led = process_frame(first, context, state, configuration, tables)
+        state = replace(state, previous=led.state.previous)
+        start_ns, index = start_ns + period_ns, index + 1
     for number in range(tracked + 1):
         if before is not None:
             start_ns += (frames_lost + 1) * period_ns

@@ -187,10 +187,9 @@ class Rate(Section):
     not; stars slower than ``least_speed_px_s`` are left. A star that fits the rate worse than
     ``tolerance_px`` is left out; ``min_stars`` are to fit. After ``frames_to_rate_only`` frames that turn too
     fast to be tracked and give no valid attitude the unit measures the rate alone, and tries to identify
-    stars below ``identify_below_deg_s``. ``windows_by_rate``: the tracking windows are where the rate moves
-    the stars, and as wide as it is uncertain. ``method``: the rate of fused clusters, or of an optical flow:
-    stars of at least ``flow_min_pixels`` pixels over the image's mean and ``flow_sigma`` of its standard
-    deviation, followed up to ``most_deg_s``; for a global shutter.
+    stars below ``identify_below_deg_s``. ``method``: the rate of fused clusters, or of an optical flow: stars
+    of at least ``flow_min_pixels`` pixels over the image's mean and ``flow_sigma`` of its standard deviation,
+    followed up to ``most_deg_s``; for a global shutter.
     """
 
     method: Literal["fusion", "optical_flow"] = "fusion"
@@ -206,7 +205,6 @@ class Rate(Section):
     min_stars: Annotated[int, Field(ge=2, le=20)] = 2
     frames_to_rate_only: Annotated[int, Field(ge=1, le=100)] = 2
     identify_below_deg_s: Annotated[float, Field(ge=0, le=100)]
-    windows_by_rate: Switch = False
 
 
 class Wire(Section):

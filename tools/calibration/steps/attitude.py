@@ -277,11 +277,22 @@ class RateStep:
             place_vectors(machine, arguments["covariance_after_rad2"]),
             float(tracking.rate_rad_s * (1.0 + tracking.rate_margin)),
         )
+        covariance = machine.reserve(9 * _DOUBLE_BYTES)
+        spreading = machine.call(
+            "st_rate_covariance",
+            place_vectors(machine, arguments["covariance_before_rad2"]),
+            place_vectors(machine, arguments["covariance_after_rad2"]),
+            interval_s,
+            covariance,
+        )
         found = machine.read(rate, np.float64, 3)
+        spread = machine.read(covariance, np.float64, (3, 3))
         machine.release()
         largest = float(np.abs(record.result).max())
         _require_near(self.name, "rate", found, record.result, RATE_BOUND * largest)
-        return [StageRun(self.name, "attitude", turning.cost + testing.cost, record.work)]
+        expected = arguments["covariance_before_rad2"] + arguments["covariance_after_rad2"]
+        _require_same(self.name, "covariance", spread, expected / interval_s**2)
+        return [StageRun(self.name, "attitude", turning.cost + testing.cost + spreading.cost, record.work)]
 
 
 STEPS = (

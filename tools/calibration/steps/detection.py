@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.image import centroid, clustering
+from st_emulator.firmware_model.image.cluster_centroid import measure_clusters
 from st_emulator.firmware_model.image.clustering import BLOCK_PX, RUN_FIELDS
-from st_emulator.firmware_model.image.detection import DetectionParameters, spots_of_table
+from st_emulator.firmware_model.image.detection import DetectionParameters, spots_of_table, streaks_seen
 from st_emulator.firmware_model.image.spots import Rejections, Spots
 from st_emulator.firmware_model.work import COUNTS, Work
 from tools.arm_timing.machine import ArmMachine, Cost
@@ -178,17 +179,34 @@ def run_detection(
     table = reserve_structs(machine, "st_cluster", number)
     sums = machine.call("st_sum_clusters", picture, run_table, count, average_table, labels, table, number)
     costs["clustering"] = call.cost + sums.cost
+    if parameters.piece_gap_px > 0:
+        seen = machine.call("st_streaks_seen", table, number)
+        costs["clustering"] += seen.cost
+        if seen.result:
+            joining_room = machine.reserve(2 * _BYTES_OF_WORD * number)
+            call = machine.call(
+                "st_join_pieces",
+                *(run_table, count, starts, rows, labels, number, parameters.piece_gap_px, joining_room),
+            )
+            number = call.result
+            sums = machine.call(
+                "st_sum_clusters", picture, run_table, count, average_table, labels, table, number
+            )
+            costs["clustering"] += call.cost + sums.cost
 
     limits = place_spot_limits(machine, parameters.spot_limits())
     found = reserve_structs(machine, "st_spot", number)
     outcome, rejected = machine.reserve(number), machine.reserve(_BYTES_OF_WORD * _REASONS)
     work_room = machine.reserve(machine.call("st_centroid_room_bytes", limits).result)
-    call = machine.call(
-        "st_measure_spots",
-        *(picture, run_table, starts, labels, table, number),
-        noise,
-        *(1, 1, limits, found, outcome, rejected, work_room),
-    )
+    if parameters.centroid == "cluster":
+        call = machine.call("st_measure_clusters", picture, table, number, limits, found, outcome, rejected)
+    else:
+        call = machine.call(
+            "st_measure_spots",
+            *(picture, run_table, starts, labels, table, number),
+            noise,
+            *(1, 1, limits, found, outcome, rejected, work_room),
+        )
     measured = call.result
     ordered = reserve_structs(machine, "st_spot", measured)
     order = machine.reserve(2 * _BYTES_OF_WORD * measured)
@@ -261,6 +279,10 @@ def compare(
         _judged_at_the_limit(image, limits, parameters.average_pixels, run.runs, runs[:count])
     label = np.empty(len(run.runs), np.int32)
     clusters, _ = clustering.join_runs(run.runs, len(run.runs), run.row_start, label)
+    table = clustering.sum_clusters(image, run.runs, len(run.runs), run.averages / ONE_DN, label, clusters)
+    if parameters.piece_gap_px > 0 and streaks_seen(table):
+        gap = parameters.piece_gap_px
+        clusters, _ = clustering.join_pieces(run.runs, len(run.runs), run.row_start, label, clusters, gap)
     _same("label", run.label, label)
     table = clustering.sum_clusters(
         image, run.runs, len(run.runs), run.averages / ONE_DN, run.label, clusters
@@ -349,11 +371,17 @@ def _spots_of_runs(
     """What the Python stage measures of the kernels' clusters."""
     measured = np.empty((len(table), centroid.SPOT_FIELDS))
     tally = np.zeros(centroid.TALLIES, np.int64)
-    found = centroid.measure_spots(
-        image,
-        *(run.runs, run.row_start, run.label, table, run.spots.noise_dn, True, 1, parameters.spot_limits()),
-        *(measured, np.empty(len(table), np.int8), tally),
-    )
+    outcome = np.empty(len(table), np.int8)
+    if parameters.centroid == "cluster":
+        rows, columns = image.shape
+        limits = parameters.spot_limits()
+        found = measure_clusters(columns, rows, table, limits, measured, outcome, tally)
+    else:
+        found = centroid.measure_spots(
+            image,
+            *(run.runs, run.row_start, run.label, table, run.spots.noise_dn, True, 1),
+            *(parameters.spot_limits(), measured, outcome, tally),
+        )
     order = np.argsort(-measured[:found, centroid.FLUX], kind="stable")[: parameters.max_spots]
     rejected = replace(Rejections(*tally[: centroid.FAINT + 1].tolist()), surplus=found - len(order))
     spots = run.spots

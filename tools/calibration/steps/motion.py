@@ -19,6 +19,7 @@ from st_emulator.firmware_model.star_rate import StarRate
 from st_emulator.firmware_model.work import COUNTS, Work
 from tools.arm_timing.machine import ArmMachine, Cost
 from tools.calibration.steps.attitude import place_camera, place_vectors
+from tools.calibration.steps.motion_records import streak_records
 from tools.calibration.steps.step import MismatchError, StageRun
 from tools.calibration.struct_layout import (
     layout_of,
@@ -28,7 +29,7 @@ from tools.calibration.struct_layout import (
     reserve_structs,
 )
 
-__all__ = ["PLACE_BOUND_PX", "RATE_BOUND", "STEPS", "place_runs"]
+__all__ = ["PLACE_BOUND_PX", "RATE_BOUND", "STEPS", "own_records", "place_runs"]
 
 RATE_BOUND = 1e-9  # relative to the largest element: a thousand times under any error of a centroid
 PLACE_BOUND_PX = 1e-9
@@ -329,6 +330,12 @@ class RateLimitStep:
         machine.release()
         _require_equal(self.name, "verdict", bool(call.result), bool(record.result))
         return [StageRun(self.name, "attitude", call.cost, record.work)]
+
+
+def own_records(seed: int, n: int) -> list[StepRecord]:
+    """The records of ``n`` pairs of frames; the same for the same seed."""
+    rng = np.random.default_rng([seed, 31])
+    return [record for _ in range(n) for record in streak_records(rng)]
 
 
 STEPS = (
