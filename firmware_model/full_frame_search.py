@@ -54,7 +54,7 @@ def find(
         if refused:
             return SearchOutcome(refused, spots)
         every = np.arange(min(len(spots), configuration.max_spots), dtype=np.int32)
-        return _identify(spots, every, configuration, tables, velocity, log)
+        return identify_spots(spots, every, configuration, tables, velocity, log)
     return _find_moving(frame, context, state, configuration, tables, detection, velocity, log, math.inf)
 
 
@@ -102,7 +102,7 @@ def _find_moving(
         return SearchOutcome(refused, detected.spots)
     now = log.run("keep_runs", streak_table, detected=detected)
     kept = KeptFrame(context.frame_index, context.t_mid_ns, now)
-    motion = _motion(now, context, state.previous, configuration, configuration.rate, log)
+    motion = star_motion_of(now, context, state.previous, configuration, configuration.rate, log)
     rate = motion.rate
     if rate is not None and math.sqrt(float(rate.rate_rad_s @ rate.rate_rad_s)) >= identify_below_rad_s:
         return SearchOutcome(Reason.RATE_TOO_HIGH, motion.spots, kept=kept, star_rate=rate)
@@ -113,7 +113,7 @@ def _find_moving(
         return SearchOutcome(Reason.RATE_TOO_HIGH, motion.spots, kept=kept)
     stars = np.arange(len(motion.spots), dtype=np.int32) if motion.fused is None else motion.fused
     stars = stars[: configuration.max_spots]
-    outcome = _identify(motion.spots, stars, configuration, tables, velocity, log)
+    outcome = identify_spots(motion.spots, stars, configuration, tables, velocity, log)
     return replace(outcome, kept=kept, star_rate=rate, still_assumed=still_assumed)
 
 
@@ -157,11 +157,11 @@ def _find_flowing(
     if refused:
         return SearchOutcome(refused, spots, kept=kept, star_rate=rate)
     stars = np.arange(min(len(spots), configuration.max_spots), dtype=np.int32)
-    outcome = _identify(spots, stars, configuration, tables, velocity, log)
+    outcome = identify_spots(spots, stars, configuration, tables, velocity, log)
     return replace(outcome, kept=kept, star_rate=rate)
 
 
-def _motion(
+def star_motion_of(
     now: StreakTable,
     context: FrameContext,
     previous: KeptFrame | None,
@@ -224,7 +224,7 @@ def _refused(spots: Spots, configuration: FirmwareConfiguration) -> Reason:
     return Reason.TOO_MANY_SPOTS if spots.overflowed else Reason.NONE
 
 
-def _identify(
+def identify_spots(
     spots: Spots,
     place: IntArray,
     configuration: FirmwareConfiguration,

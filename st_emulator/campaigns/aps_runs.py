@@ -1,0 +1,286 @@
+"""One run of the multi-poles paper's dynamic campaigns: images of a camera that turns, until an attitude is
+found.
+
+Schiattarella, Spiller and Curti 2020 ("M"), section 6: constant rates, attitudes over the whole sphere, 26
+directions of the rate, up to 60 images that follow each other without a gap, at least two of them. The stages
+are the unit's own; what is of the campaign is the sky (stars to 6.5 mag, M table 1), the 50 false objects of
+the worst case, which M adds after the fusion, and the judgement.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bench.frame_context import synchronised_context
+from ..bench.star_tables import star_tables
+from ..bench.world_of import camera_model
+from ..compiled_kernels import keep_compiled_kernels
+from ..device.calibration import firmware_configuration
+from ..device.parameters import default_parameters
+from ..firmware_model.configuration import FirmwareConfiguration, StarTables
+from ..firmware_model.frame_log import FrameLog
+from ..firmware_model.frame_search import velocity_over_c
+from ..firmware_model.full_frame_search import identify_spots, star_motion_of
+from ..firmware_model.image.detection import detect_clusters
+from ..firmware_model.image.spots import Spots
+from ..firmware_model.image.streaks import streak_table
+from ..firmware_model.modes import Mode
+from ..firmware_model.reasons import Reason
+from ..firmware_model.star_motion import KeptFrame, StarMotion
+from ..firmware_model.work import Work
+from ..units.profile import UnitProfile
+from ..world import quaternion
+from ..world.scene import RenderedFrame, SceneRenderer
+from ..world.stars import StarField, star_field
+from ..world.time_scales import julian_year
+from ..world.trajectory import ConstantRateTrajectory
+from .bench import error_arcsec, start_tai_ns, with_section
+
+Array = NDArray[np.float64]
+
+SIMULATED_MAG = 6.5  # M table 1
+MOST_IMAGES = 60  # M section 6.2
+SUCCESS_ARCSEC = 360.0  # M section 6.2: of pitch and yaw
+FALSE_OBJECTS = 50  # M section 6.5
+FALSE_MAGNITUDES = (2.0, 5.5)  # ASSUMED: M prints none; of the stars that the catalogue holds
+FASTEST_TRACKED_DEG_S = 10.0  # so that no attitude is refused for its rate: M judges the attitude alone
+DIRECTIONS = np.array([v for v in itertools.product((-1, 0, 1), repeat=3) if any(v)], dtype=float)
+MATCH_PX = 3.0  # a centroid further from where its star truly is than this is another's
+BACKGROUNDS = 24
+ROLLING_READOUT_MS = 200.0  # M (4)
+GLOBAL_READOUT_MS = 40.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """shutter: rolling or global; worst: with false objects; rate_deg_s; attitude and direction by number."""
+
+    shutter: str
+    worst: bool
+    rate_deg_s: int
+    attitude: int
+    direction: int
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Of errors: how many, and the sums of their first four powers, float64[4]."""
+
+    count: int
+    sums: Array
+
+    @classmethod
+    def of(cls, errors: Array) -> Moments:
+        """Of errors float64[n]."""
+        return cls(len(errors), np.array([float((errors**power).sum()) for power in (1, 2, 3, 4)]))
+
+
+@dataclass(frozen=True)
+class Run:
+    """images: until an attitude was found, 0: none in MOST_IMAGES. error_arcsec: roll, pitch, yaw; nan
+    without. wrong: an attitude that is none. centroids: horizontal and vertical errors of the second image's
+    fused stars as they are, and compensated.
+    """
+
+    images: int
+    error_arcsec: Array
+    wrong: bool
+    plain_x: Moments
+    plain_y: Moments
+    compensated_x: Moments
+    compensated_y: Moments
+
+
+def attitude_of(number: int, count: int) -> Array:
+    """q_icrs_to_sensor of attitude ``number`` of ``count``, evenly over the sphere.
+
+    ASSUMED: M takes a geodesic polyhedron's corners, of which there are none with 200; a Fibonacci lattice is
+    as even.
+    """
+    dec = math.degrees(math.asin(1.0 - (2 * number + 1) / count))
+    ra = 360.0 * (number * 0.6180339887498949 % 1.0)
+    return quaternion.quaternion_from_pointing(ra, dec, 360.0 * (number * 0.7548776662466927 % 1.0))
+
+
+@lru_cache(maxsize=2)
+def _sky() -> StarField:
+    return star_field(julian_year(start_tai_ns()), SIMULATED_MAG)
+
+
+class Bench:
+    """The unit with one kind of shutter before its sky."""
+
+    def __init__(self, profile_json: str, shutter: str, seed: int) -> None:
+        keep_compiled_kernels()
+        profile = UnitProfile.model_validate_json(profile_json)
+        readout_ms = ROLLING_READOUT_MS if shutter == "rolling" else GLOBAL_READOUT_MS
+        profile = with_section(profile, "detector", shutter=shutter)
+        profile = with_section(profile, "timing", readout_ms=readout_ms)
+        profile = with_section(profile, "tracking", rate_deg_s=FASTEST_TRACKED_DEG_S)
+        self.profile = profile
+        self.tables: StarTables = star_tables(profile)
+        configuration = firmware_configuration(profile, default_parameters(profile))
+        # The unit's limit of work is of its processor and not of M's algorithm.
+        self.configuration: FirmwareConfiguration = replace(configuration, cycle_budget=None)
+        still = ConstantRateTrajectory(np.array([0.0, 0.0, 0.0, 1.0]))
+        camera, start = camera_model(profile), start_tai_ns()
+        self.scene = SceneRenderer(camera, _sky(), still, seed=seed, start_tai_ns=start, quick_light=True)
+        none = _without_stars(_sky())
+        empty = SceneRenderer(camera, none, still, seed=seed, start_tai_ns=start, quick_light=True)
+        self._backgrounds = [empty.frame(number, 0).full() for number in range(BACKGROUNDS)]
+        self._canvas = np.empty_like(self._backgrounds[0])
+
+    def image(self, frame: RenderedFrame) -> NDArray[np.uint16]:
+        """The frame's pixels wherever light falls; elsewhere those of one of BACKGROUNDS frames without
+        stars.
+
+        So the noise is that of a whole frame, pixel by pixel, and only where light falls is it made anew;
+        what repeats is the noise far from all stars, every BACKGROUNDS images. Valid until the next call.
+        """
+        self._canvas[...] = self._backgrounds[frame.frame_index % BACKGROUNDS]
+        box = frame.light.box
+        flat, offsets = frame.windows(box)
+        for number, (x0, y0, x1, y1) in enumerate(box):
+            lit = flat[offsets[number] : offsets[number + 1]]
+            self._canvas[y0:y1, x0:x1] = lit.reshape(y1 - y0, x1 - x0)
+        return self._canvas
+
+
+def _without_stars(field: StarField) -> StarField:
+    return StarField(
+        field.hip[:0], field.unit_vectors[:0], field.hp_mag[:0], field.parallax_rad[:0], field.epoch_jyear
+    )
+
+
+@lru_cache(maxsize=4)
+def bench_of(profile_json: str, shutter: str, seed: int) -> Bench:
+    """The bench of a shutter; those asked for last are kept."""
+    return Bench(profile_json, shutter, seed)
+
+
+def run_case(profile_json: str, seed: int, attitudes: int, case: Case) -> Run:
+    """Images until there is an attitude."""
+    bench = bench_of(profile_json, case.shutter, seed)
+    axis = DIRECTIONS[case.direction] / np.linalg.norm(DIRECTIONS[case.direction])
+    bench.scene.trajectory = ConstantRateTrajectory(
+        attitude_of(case.attitude, attitudes), np.radians(case.rate_deg_s) * axis
+    )
+    chance = np.random.default_rng([seed, case.attitude, case.direction, case.rate_deg_s, int(case.worst)])
+    first = int(chance.integers(0, 2**31))  # of the noise
+    previous: KeptFrame | None = None
+    places = (np.zeros((0, 2)), np.zeros((0, 2)))
+    found = (0, np.full(3, np.nan), False)
+    for number in range(MOST_IMAGES):
+        frame = bench.scene.frame(first + number, number * bench.profile.frame_period_ns)
+        outcome = _process(bench, frame, number, previous, chance if case.worst else None)
+        previous = outcome.kept
+        if number == 1:
+            places = _centroid_errors(bench, frame, outcome.plain, outcome.motion)
+        if outcome.q is not None:
+            true = bench.scene.trajectory.q_icrs_to_sensor(frame.exposure_mid_ns)
+            x, y, z = error_arcsec(outcome.q, true)
+            wrong = max(abs(x), abs(y)) > SUCCESS_ARCSEC
+            found = (number + 1, np.array([z, x, y]), wrong)
+            break
+    plain, compensated = places
+    return Run(
+        *found,
+        Moments.of(plain[:, 0]),
+        Moments.of(plain[:, 1]),
+        Moments.of(compensated[:, 0]),
+        Moments.of(compensated[:, 1]),
+    )
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    kept: KeptFrame
+    plain: Spots
+    motion: StarMotion
+    q: Array | None
+
+
+def _process(
+    bench: Bench,
+    frame: RenderedFrame,
+    number: int,
+    previous: KeptFrame | None,
+    chance: np.random.Generator | None,
+) -> _Outcome:
+    """The unit's stages on one image; ``chance``: of the false objects, None without them."""
+    configuration = bench.configuration
+    assert configuration.rate is not None
+    context = synchronised_context(frame, number, Mode.LOST_IN_SPACE, bench.scene.start_tai_ns)
+    log = FrameLog(Work(), None)
+    detected, _ = detect_clusters(bench.image(frame), configuration.detection)
+    now = log.run("keep_runs", streak_table, detected=detected)
+    motion = star_motion_of(now, context, previous, configuration, configuration.rate, log)
+    kept = KeptFrame(number, context.t_mid_ns, now)
+    if motion.fused is None:  # M: at least two images
+        return _Outcome(kept, now.spots, motion, None)
+    spots, place = motion.spots, motion.fused
+    if chance is not None:
+        spots = with_false_objects(motion.spots.take(motion.fused), chance, bench)
+        place = np.arange(len(spots), dtype=np.int32)
+    velocity = velocity_over_c(context, configuration, log)
+    outcome = identify_spots(spots, place, configuration, bench.tables, velocity, log)
+    solved = outcome.attitude is not None and outcome.reasons == Reason.NONE
+    q = outcome.attitude.q_icrs_to_sensor if solved and outcome.attitude is not None else None
+    return _Outcome(kept, now.spots, motion, q)
+
+
+def with_false_objects(spots: Spots, chance: np.random.Generator, bench: Bench) -> Spots:
+    """Spots and FALSE_OBJECTS others anywhere in the image, brightest first."""
+    camera = bench.scene.camera
+    false = Spots.at(
+        chance.uniform(0, camera.width_px - 1, FALSE_OBJECTS),
+        chance.uniform(0, camera.height_px - 1, FALSE_OBJECTS),
+        chance.uniform(*FALSE_MAGNITUDES, FALSE_OBJECTS),
+        zero_point_dn=bench.configuration.detection.zero_point_dn_per_s
+        * bench.configuration.detection.exposure_s,
+    )
+    order = np.argsort(np.concatenate([spots.magnitude, false.magnitude]), kind="stable")
+
+    def both(name: str) -> NDArray[Any]:
+        joined: NDArray[Any] = np.concatenate([getattr(spots, name), getattr(false, name)])[order]
+        return joined
+
+    return Spots(
+        x_px=both("x_px"),
+        y_px=both("y_px"),
+        flux_dn=both("flux_dn"),
+        magnitude=both("magnitude"),
+        peak_dn=both("peak_dn"),
+        pixels=both("pixels"),
+        saturated=both("saturated"),
+        at_edge=both("at_edge"),
+        background_dn=spots.background_dn,
+        noise_dn=spots.noise_dn,
+    )
+
+
+def _centroid_errors(
+    bench: Bench, frame: RenderedFrame, plain: Spots, motion: StarMotion
+) -> tuple[Array, Array]:
+    """Errors (x, y), px, of the fused spots as they are and compensated, against where their stars are at the
+    frame's mid-exposure (M (46))."""
+    if motion.fused is None or not len(motion.fused):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    true = np.array([[star.x_mid_px, star.y_mid_px] for star in bench.scene.truth(frame).stars])
+    if not len(true):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    moved, still = (
+        np.stack([spots.x_px[motion.fused], spots.y_px[motion.fused]], axis=1)
+        for spots in (motion.spots, plain)
+    )
+    distance = np.linalg.norm(moved[:, np.newaxis] - true[np.newaxis], axis=2)
+    nearest = distance.argmin(axis=1)
+    own = distance.min(axis=1) <= MATCH_PX
+    return still[own] - true[nearest[own]], moved[own] - true[nearest[own]]
