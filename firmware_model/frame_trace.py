@@ -26,6 +26,9 @@ STEPS: Final = (
     "attitude",  # directions to quaternion and covariance
     "false_solutions",  # how likely chance gives such a solution
     "rate",  # from two attitudes
+    "flow_light",  # a whole image to its lit pixels and stars, for the optical flow
+    "flow",  # stars of the frame before, found in this one by optical flow
+    "flow_rate",  # their directions to the angular rate and its covariance
 )
 
 
