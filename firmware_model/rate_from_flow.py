@@ -23,8 +23,9 @@ FloatArray = NDArray[np.float64]
 
 LEAST_STARS = 2
 PRIOR_DEGREES = 8.0
-"""ASSUMED: the expected error of a direction weighs like so many measured ones when the spread is estimated, so
-that few stars that agree by chance do not make a rate look better than it is."""
+"""ASSUMED: the expected error of a direction weighs like so many measured ones when the spread is estimated,
+so that few stars that agree by chance do not make a rate look better than it is.
+"""
 OUTLIER_SIGMA = 3.5
 PASSES = 8
 RAYLEIGH_MEDIAN = 2.0 * math.log(2.0)
@@ -35,8 +36,9 @@ LEAST_VARIANCE = 1.0 / 9.0
 
 @dataclass(frozen=True, slots=True)
 class FlowRate:
-    """rate_rad_s: float64[3], of the sensor relative to ICRS in sensor axes; covariance_rad2_s2: float64[3, 3];
-    residual: float64[n], how far each star is from where the rate puts it, in its expected errors; kept: bool[n].
+    """rate_rad_s: float64[3], of the sensor relative to ICRS in sensor axes; covariance_rad2_s2:
+    float64[3, 3]; residual: float64[n], how far each star is from where the rate puts it, in its expected
+    errors; kept: bool[n].
     """
 
     rate_rad_s: FloatArray
@@ -95,8 +97,8 @@ def _equations(
 
 @numba.njit(nogil=True)
 def _triangularise(rows: FloatArray, kept: NDArray[np.bool_], turned: FloatArray) -> None:
-    """Upper triangle of the equations of the stars that are kept, into the first three rows of ``turned``, which
-    has room for all of them: Householder's reflections (QR).
+    """Upper triangle of the equations of the stars that are kept, into the first three rows of ``turned``,
+    which has room for all of them: Householder's reflections (QR).
     """
     count = 0
     for row in range(rows.shape[0]):
@@ -211,15 +213,16 @@ def rate_from_directions(
     across_rad: FloatArray,
     foreseen_rad_s: FloatArray | None = None,
 ) -> tuple[FlowRate | None, Work]:
-    """Rate of the sensor from unit vectors float64[n, 3] of the same stars at two instants, ``interval_s`` apart.
+    """Rate of the sensor from unit vectors float64[n, 3] of the same stars, ``interval_s`` apart.
 
     u2 - u1 = (u1 + u2) / 2 x t holds exactly for a turn about t whose length is 2 tan(a / 2) of its angle a
     (Cayley), so that a large turn leaves no bias. The three equations of F (4) for a star are two, along its
-    shift and across, so that each can have its own weight: along_rad, across_rad, float64[n], expected errors of
-    the shift. foreseen_rad_s: a rate that says which way the shifts go; without it each goes its own, which makes
-    short ones look longer than they are where the two weights differ. Stars whose residual is over OUTLIER_SIGMA
-    of the spread go, at most a third of them. The covariance is that of the weights times the spread about them,
-    shrunk towards 1 (PRIOR_DEGREES). None: fewer than two stars, or all in one direction.
+    shift and across, so that each can have its own weight: along_rad, across_rad, float64[n], expected errors
+    of the shift. foreseen_rad_s: a rate that says which way the shifts go; without it each goes its own,
+    which makes short ones look longer than they are where the two weights differ. Stars whose residual is
+    over OUTLIER_SIGMA of the spread go, at most a third of them. The covariance is that of the weights times
+    the spread about them, shrunk towards 1 (PRIOR_DEGREES). None: fewer than two stars, or all in one
+    direction.
     """
     work = Work()
     count = len(before)
@@ -246,10 +249,10 @@ def rate_from_directions(
 class FlowSettings:
     """How a rate is made of a flow.
 
-    weighted: each shift weighs by its expected errors along itself and across, in REWEIGHTINGS passes; else all
-    weigh alike (F). predicted: the search is round where the last rate puts the stars, as long as its errors are
-    below most_sigma_px of shift; else every shift is tried (F). ASSUMED defaults: measured against F's way in the
-    campaign iris-tables, they are the better ones.
+    weighted: each shift weighs by its expected errors along itself and across, in REWEIGHTINGS passes; else
+    all weigh alike (F). predicted: the search is round where the last rate puts the stars, as long as its
+    errors are below most_sigma_px of shift; else every shift is tried (F). ASSUMED defaults: measured against
+    F's way in the campaign iris-tables, they are the better ones.
     """
 
     weighted: bool = True

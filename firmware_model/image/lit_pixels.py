@@ -1,7 +1,7 @@
 """Lit pixels and stars of a whole image, for the optical flow: where each star of one frame is in the next.
 
-Fasano et al., "Optical flow-based angular rate", Sensors 13 (2013), section 2.1 (paper F): one threshold for the
-whole image, mean + 3 sigma; what is under it is zero.
+Fasano et al., "Optical flow-based angular rate", Sensors 13 (2013), section 2.1 (paper F): one threshold for
+the whole image, mean + 3 sigma; what is under it is zero.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 
 DN_PARTS = 16
-"""Values are whole numbers of so many parts of a DN: sums of them and of their products are exact, in any order and
-on every machine, and a flight processor adds whole numbers faster than others."""
+"""Values are whole numbers of so many parts of a DN: sums of them and of their products are exact, in any
+order and on every machine, and a flight processor adds whole numbers faster than others.
+"""
 
 BLOCK_PX = 32
 """A row is compared with the threshold so many pixels at a time."""
@@ -48,11 +49,11 @@ class FlowParameters:
     """What the optical flow is tuned by.
 
     sigma_factor: threshold over the mean of the whole image, in standard deviations of the whole image (F
-    section 2.1: 3). min_pixels: stars of fewer lit pixels are dropped (F: 3). max_pixels, max_extent_px: clusters
-    beyond are no stars. largest_shift_px: of a star between two frames, on either axis: the largest rate.
-    margin_px: the window of the refining centroid is the star's plus this (F: 2). prediction_margin_px: where a
-    shift is foreseen, the search is only so far round it (F section 5 proposes such a feedback). max_stars: the
-    brightest are followed. max_runs: size of the run table.
+    section 2.1: 3). min_pixels: stars of fewer lit pixels are dropped (F: 3). max_pixels, max_extent_px:
+    clusters beyond are no stars. largest_shift_px: of a star between two frames, on either axis: the largest
+    rate. margin_px: the window of the refining centroid is the star's plus this (F: 2). prediction_margin_px:
+    where a shift is foreseen, the search is only so far round it (F section 5 proposes such a feedback).
+    max_stars: the brightest are followed. max_runs: size of the run table.
     """
 
     sigma_factor: float = 3.0
@@ -78,10 +79,10 @@ class FlowFrame:
     """The lit pixels of one image and its stars: all that the next frame needs of this one.
 
     runs: int32[r, 3] (row, first column, end column), row by row, left to right; row_start: int32[rows + 1];
-    offsets: int32[r], where the values of a run begin in values: int32[lit], 1/16 DN over the image's mean, which
-    is rounded down to 1/16 DN. x_px, y_px, flux_dn: of the stars, brightest first; box: int32[n, 4], first and
-    last column, first and last row. mean_dn, sigma_dn: of the whole image. overflowed: more runs than the table
-    holds; no stars then.
+    offsets: int32[r], where the values of a run begin in values: int32[lit], 1/16 DN over the image's mean,
+    which is rounded down to 1/16 DN. x_px, y_px, flux_dn: of the stars, brightest first; box: int32[n, 4],
+    first and last column, first and last row. mean_dn, sigma_dn: of the whole image. overflowed: more runs
+    than the table holds; no stars then.
     """
 
     width_px: int
@@ -177,8 +178,8 @@ def light_up(image: NDArray[np.uint16], parameters: FlowParameters) -> tuple[Flo
     """The lit pixels and the stars of an image ``uint16[rows, columns]``, DN.
 
     A pixel is lit where it is over mean + ``sigma_factor`` standard deviations of the whole image (F section
-    2.1). Lit pixels that touch are one star; its place is the mean of its pixels, weighted by what they have over
-    the image's mean. Stars at the very edge are dropped: a part of them may be outside.
+    2.1). Lit pixels that touch are one star; its place is the mean of its pixels, weighted by what they have
+    over the image's mean. Stars at the very edge are dropped: a part of them may be outside.
     """
     if image.ndim != 2 or image.dtype != np.uint16:
         raise ValueError(f"an image is uint16[rows, columns], not {image.dtype}{list(image.shape)}")

@@ -1,8 +1,8 @@
 """Optical flow of stars: where each star of one frame is in the next, without knowing which star it is.
 
-Fasano et al., "Optical flow-based angular rate", Sensors 13 (2013), section 2.1 (paper F). Stars of the first image
-are matched by the smallest sum of squared differences (SSD) over whole-pixel shifts, then refined by a centroid in
-the second image. What is lit of an image is of ``lit_pixels.py``.
+Fasano et al., "Optical flow-based angular rate", Sensors 13 (2013), section 2.1 (paper F). Stars of the first
+image are matched by the smallest sum of squared differences (SSD) over whole-pixel shifts, then refined by a
+centroid in the second image. What is lit of an image is of ``lit_pixels.py``.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ IntArray = NDArray[np.int32]
 
 @dataclass(frozen=True, slots=True)
 class OpticalFlow:
-    """Stars found in both frames: index into the first frame's stars, places in both, px; ssd of the match as a
-    share of the star's own energy (0: the same picture, 1: nothing there). length_px: of the lit streak in the
-    first frame; noise: of the star's lit pixels over their sum.
+    """Stars found in both frames: index into the first frame's stars, places in both, px; ssd of the match as
+    a share of the star's own energy (0: the same picture, 1: nothing there). length_px: of the lit streak in
+    the first frame; noise: of the star's lit pixels over their sum.
     """
 
     star: IntArray
@@ -55,11 +55,11 @@ class OpticalFlow:
         )
 
     def errors_px(self, streak_px: FloatArray, least_px: float) -> tuple[FloatArray, FloatArray]:
-        """Expected errors of the shifts along themselves and across, 1 sigma, where the stars' streaks are so long.
+        """Expected errors of the shifts along themselves and across, 1 sigma, with streaks that are so long.
 
-        Of a streak that is seen shorter the rest lies under the threshold: its middle may be anywhere along the
-        whole, in both images. The length must not be taken from the star's own shift, for then one that is
-        measured too short would look the better one. least_px: of a centroid at its best.
+        Of a streak that is seen shorter the rest lies under the threshold: its middle may be anywhere along
+        the whole, in both images. The length must not be taken from the star's own shift, for then one that
+        is measured too short would look the better one. least_px: of a centroid at its best.
         """
         missing = np.maximum(streak_px - self.length_px, 0.0)
         floor = 2.0 * least_px * least_px
@@ -72,17 +72,15 @@ class OpticalFlow:
 PIECE_FIRST, PIECE_END, PIECE_VALUES = range(3)
 
 # counts of _follow
-ROWS, RUNS, SQUARED, PAIRED, LINES, PAIRS, SHIFTS, CENTRINGS, CENTRED = range(9)
+ROWS, RUNS, SHIFT_ROWS, LINES, PAIRS, SHIFTS, CENTRINGS = range(7)
 COUNT_NAMES = (
     "flow_rows",
     "runs_looked_at",
-    "pixels_squared",
-    "rows_matched",
+    "shift_rows",
     "lines_matched",
     "pixels_matched",
     "shifts_compared",
     "flow_centrings",
-    "pixels_centred",
 )
 
 
@@ -165,10 +163,10 @@ def _coarse_shift(
     energy).
 
     own: the star's pieces in its window; second: those of the other image in that window moved to all shifts,
-    shifts - 1 wider and higher. SSD = sum own^2 + sum second^2 - 2 sum own second; pixels that are not lit add
-    nothing to any of them, and a shift at which no two lit ones meet is none. The second sum of a row of shifts
-    is kept by columns, to which a row is added at one end and taken away at the other. Of equal shifts the one
-    nearest to (away_x, away_y) wins. Sums are whole numbers, so that every machine finds the same.
+    shifts - 1 wider and higher. SSD = sum own^2 + sum second^2 - 2 sum own second; pixels that are not lit
+    add nothing to any of them, and a shift at which no two lit ones meet is none. The second sum of a row of
+    shifts is kept by columns, to which a row is added at one end and taken away at the other. Of equal shifts
+    the one nearest to (away_x, away_y) wins. Sums are whole numbers, so that every machine finds the same.
     """
     total = np.int64(0)
     for piece in range(own_start[height]):
@@ -186,14 +184,10 @@ def _coarse_shift(
     lit = 0
     for row in range(height - 1):
         lit += _add_squares(row, 1, second, second_start, second_values, column_energy)
-    tally[SQUARED] += lit
     for i in range(shifts):
-        added = _add_squares(i + height - 1, 1, second, second_start, second_values, column_energy)
-        lit += added
-        tally[SQUARED] += added
+        lit += _add_squares(i + height - 1, 1, second, second_start, second_values, column_energy)
         if lit > 0:
             least_j, most_j = shifts, -1
-            tally[PAIRED] += height
             for r in range(height):
                 for b in range(second_start[i + r], second_start[i + r + 1]):
                     first, end = second[b, PIECE_FIRST], second[b, PIECE_END]
@@ -216,6 +210,7 @@ def _coarse_shift(
                                 place += 1
             if most_j >= 0:
                 tally[SHIFTS] += most_j - least_j + 1
+                tally[SHIFT_ROWS] += 1
                 energy = np.int64(0)
                 for column in range(least_j, least_j + width - 1):
                     energy += column_energy[column]
@@ -249,8 +244,8 @@ def _centre(
     offsets: IntArray,
     values: IntArray,
     tally: NDArray[np.int64],
-) -> tuple[int, int, int]:
-    """Sums of the lit pixels in a window inside the image: value, value times column and row in the window."""
+) -> tuple[np.int64, np.int64, np.int64]:
+    """Sums of the lit pixels in a window inside the image: value, value times column and row there."""
     total, total_x, total_y = np.int64(0), np.int64(0), np.int64(0)
     tally[ROWS] += height
     for r in range(height):
@@ -263,7 +258,6 @@ def _centre(
                 value = np.int64(values[offsets[run] + column - runs[run, 1]])
                 line += value
                 total_x += value * (column - x0)
-                tally[CENTRED] += 1
         total += line
         total_y += line * r
     return total, total_x, total_y
@@ -289,9 +283,7 @@ def _follow(
     found: FloatArray,
     tally: NDArray[np.int64],
 ) -> None:
-    """For each box (x, y, mismatch) into found[n, 3], mismatch < 0 where there is nothing; counts are added to
-    ``tally``.
-    """
+    """For each box (x, y, mismatch) into found[n, 3], mismatch < 0 where there is nothing; adds to ``tally``."""
     height_px = start_a.shape[0] - 1
     shifts = 2 * reach + 1
     tallest, widest = 1, 1
@@ -358,7 +350,9 @@ def flow_between(
     if (before.width_px, before.height_px) != (after.width_px, after.height_px):
         raise ValueError("two frames of one flow have the same size")
     reach = parameters.largest_shift_px if foreseen_px is None else parameters.prediction_margin_px
-    expected = np.zeros((len(before), 2)) if foreseen_px is None else np.ascontiguousarray(foreseen_px, np.float64)
+    expected = (
+        np.zeros((len(before), 2)) if foreseen_px is None else np.ascontiguousarray(foreseen_px, np.float64)
+    )
     found = np.empty((len(before), 3))
     tally = np.zeros(len(COUNT_NAMES), np.int64)
     _follow(
@@ -381,7 +375,6 @@ def flow_between(
     ), Work(
         {
             "stars_followed": len(before),
-            "flow_columns": int((before.box[:, 1] - before.box[:, 0] + 2 * reach + 1).sum()),
             **dict(zip(COUNT_NAMES, tally.tolist(), strict=True)),
         }
     )

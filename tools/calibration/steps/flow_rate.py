@@ -1,5 +1,5 @@
-"""Angular rate from an optical flow on the ARM: the same bits but for the rate itself, whose arc tangent is the C
-library's.
+"""Angular rate from an optical flow on the ARM: the same bits but for the rate itself, whose arc tangent is
+the C library's.
 """
 
 from __future__ import annotations

@@ -180,7 +180,9 @@ def _part(work: Work, stage: str) -> Work:
 
 
 def own_records(seed: int, n: int) -> list[StepRecord]:
-    """``n`` frames at rates over all of paper F's, some of them a part of the rows; the same for the same seed."""
+    """``n`` frames at rates over all of paper F's, some of them a part of the rows; the same for the same
+    seed.
+    """
     scenes = FlowScenes(seed)
     records = []
     for place in range(n):

@@ -63,9 +63,7 @@ def _place_stars(machine: ArmMachine, frame: FlowFrame) -> int:
     }
     members |= dict(zip(_BOX, frame.box.T, strict=True))
     layout = layout_of(machine, "st_flow_star")
-    return machine.place(
-        layout.pack_array(len(frame), **members, reserved=np.zeros(len(frame), np.int32))
-    )
+    return machine.place(layout.pack_array(len(frame), **members, reserved=np.zeros(len(frame), np.int32)))
 
 
 def run_flow(
@@ -102,9 +100,7 @@ def run_flow(
         margin=parameters.margin_px,
         centrings=parameters.centrings,
     )
-    image = place_struct(
-        machine, "st_image", pixels=0, rows=before.height_px, columns=before.width_px
-    )
+    image = place_struct(machine, "st_image", pixels=0, rows=before.height_px, columns=before.width_px)
     matches = reserve_structs(machine, "st_flow_match", len(before))
     call = machine.call(
         "st_flow_between",
@@ -153,8 +149,8 @@ class FlowStep:
 
 
 def own_records(seed: int, n: int) -> list[StepRecord]:
-    """``n`` flows at rates over all of paper F's, with and without a foreseen rate in turn; the same for the same
-    seed.
+    """``n`` flows at rates over all of paper F's, with and without a foreseen rate in turn; the same for the
+    same seed.
     """
     scenes = FlowScenes(seed)
     rng = np.random.default_rng([seed, 23])
