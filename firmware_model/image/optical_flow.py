@@ -283,7 +283,7 @@ def _follow(
     found: FloatArray,
     tally: NDArray[np.int64],
 ) -> None:
-    """For each box (x, y, mismatch) into found[n, 3], mismatch < 0 where there is nothing; adds to ``tally``."""
+    """For each box (x, y, mismatch) into found[n, 3], mismatch -1: nothing; counts into ``tally``."""
     height_px = start_a.shape[0] - 1
     shifts = 2 * reach + 1
     tallest, widest = 1, 1
