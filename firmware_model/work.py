@@ -84,6 +84,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("spots_judged", "centroid", "spot whose magnitude is taken (a logarithm) and looked at"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
     ("flow_clusters", "centroid", "cluster of a whole image looked at whether it is a star to follow"),
+    ("cold_clusters", "centroid", "such a cluster more than a data cache holds beside the rest of a frame"),
     ("flow_stars_sorted", "centroid", "comparison and move when ordering such stars by brightness, n log2 n"),
     ("flow_stars", "centroid", "such a star with its place computed (divisions)"),
     ("directions_begun", "centroid", "frame whose positions are turned to unit vectors: the code is cold"),
