@@ -43,9 +43,9 @@ order and on every machine, and a flight processor adds whole numbers faster tha
 BLOCK_PX = 32
 """A row is compared with the threshold so many pixels at a time."""
 
-CACHED_CLUSTERS = 220
-"""Clusters whose sums are still in a data cache of 32 KiB when stars are sought among them: of the limits
-tried in the simulated kernel, the one that leaves the least error in frames that its time was not fitted to.
+CACHED_CLUSTERS = 180
+"""Clusters whose sums are still in a data cache of 32 KiB when stars are sought among them. ASSUMED: of 180,
+220, 260 and 300 the one that fits the simulated kernel best, on the frames of the fit alone.
 """
 
 
