@@ -25,16 +25,21 @@ FloatArray = NDArray[np.float64]
 LEAST_STARS = 2
 PRIOR_DEGREES = 8.0
 """ASSUMED: the expected error of a direction weighs like so many measured ones when the spread is estimated,
-so that few stars that agree by chance do not make a rate look better than it is."""
+so that few stars that agree by chance do not make a rate look better than it is.
+"""
 OUTLIER_SIGMA = 3.5
 PASSES = 8
+RAYLEIGH_MEDIAN = 2.0 * math.log(2.0)
+"""The square of the median of residuals of two axes, over the variance of one (a Rayleigh distribution)."""
+LEAST_VARIANCE = 1.0 / 9.0
+"""ASSUMED: over the expected one; residuals that are all small by chance make no star an outlier."""
 
 
 @dataclass(frozen=True, slots=True)
 class FlowRate:
-    """rate_rad_s: float64[3], of the sensor relative to ICRS in sensor axes; covariance_rad2_s2: float64[3,
-    3]; residual: float64[n], how far each star is from where the rate puts it, in its expected errors; kept:
-    bool[n].
+    """rate_rad_s: float64[3], of the sensor relative to ICRS in sensor axes; covariance_rad2_s2:
+    float64[3, 3]; residual: float64[n], how far each star is from where the rate puts it, in its expected
+    errors; kept: bool[n].
     """
 
     rate_rad_s: FloatArray
@@ -44,28 +49,161 @@ class FlowRate:
 
 
 @numba.njit(nogil=True)
-def _triangularise(rows: FloatArray, kept: NDArray[np.bool_], r: FloatArray) -> int:
-    """Upper triangle r[3, 4] of two equations a star, rows[2 n, 4], by Givens rotations, row after row."""
-    for i in range(3):
-        for j in range(4):
-            r[i, j] = 0.0
-    rotations = 0
-    row = np.empty(4)
-    for equation in range(rows.shape[0]):
-        if not kept[equation // 2]:
-            continue
-        row[:] = rows[equation]
+def _equations(
+    before: FloatArray,
+    after: FloatArray,
+    along_rad: FloatArray,
+    across_rad: FloatArray,
+    foreseen: FloatArray,
+    is_foreseen: bool,
+    rows: FloatArray,
+) -> None:
+    """Two equations a star, rows[2 n, 4], of a . (m x t) = (a x m) . t: along its shift, then across."""
+    middle, change, along = np.empty(3), np.empty(3), np.empty(3)
+    for star in range(before.shape[0]):
         for i in range(3):
-            if row[i] == 0.0:
-                continue
-            length = math.sqrt(r[i, i] * r[i, i] + row[i] * row[i])
-            cosine, sine = r[i, i] / length, row[i] / length
-            for j in range(i, 4):
-                above = r[i, j]
-                r[i, j] = cosine * above + sine * row[j]
-                row[j] = cosine * row[j] - sine * above
-            rotations += 1
-    return rotations
+            middle[i] = 0.5 * (before[star, i] + after[star, i])
+            change[i] = after[star, i] - before[star, i]
+        x, y, z = middle[0], middle[1], middle[2]
+        if is_foreseen:
+            along[0] = y * foreseen[2] - z * foreseen[1]
+            along[1] = z * foreseen[0] - x * foreseen[2]
+            along[2] = x * foreseen[1] - y * foreseen[0]
+        else:
+            along[:] = change
+        # tangents of length one: along the shift (any one where nothing moves), and across
+        radial = along[0] * x + along[1] * y + along[2] * z
+        for i in range(3):
+            along[i] -= middle[i] * radial
+        length = math.sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2])
+        if length < 1e-9:
+            along[0], along[1], along[2] = -z, 0.0, x
+            length = math.sqrt(z * z + x * x)
+        shorter = 1.0 / length
+        for i in range(3):
+            along[i] *= shorter
+        first, second = 1.0 / along_rad[star], 1.0 / across_rad[star]
+        across_x = y * along[2] - z * along[1]
+        across_y = z * along[0] - x * along[2]
+        across_z = x * along[1] - y * along[0]
+        row, other = 2 * star, 2 * star + 1
+        rows[row, 0], rows[row, 1], rows[row, 2] = -across_x * first, -across_y * first, -across_z * first
+        rows[row, 3] = (along[0] * change[0] + along[1] * change[1] + along[2] * change[2]) * first
+        # (m x a) x m = a |m|^2, as a is normal to m
+        scale = (x * x + y * y + z * z) * second
+        for i in range(3):
+            rows[other, i] = along[i] * scale
+        rows[other, 3] = (across_x * change[0] + across_y * change[1] + across_z * change[2]) * second
+
+
+@numba.njit(nogil=True)
+def _triangularise(rows: FloatArray, kept: NDArray[np.bool_], turned: FloatArray) -> None:
+    """Upper triangle of the equations of the stars that are kept, into the first three rows of ``turned``,
+    which has room for all of them: Householder's reflections (QR).
+    """
+    count = 0
+    for row in range(rows.shape[0]):
+        if kept[row // 2]:
+            for k in range(4):
+                turned[count, k] = rows[row, k]
+            count += 1
+    for column in range(3):
+        square = 0.0
+        for row in range(column, count):
+            square += turned[row, column] * turned[row, column]
+        length = math.sqrt(square)
+        top = turned[column, column]
+        if top > 0.0:
+            length = -length
+        if length == 0.0:
+            continue
+        top -= length
+        factor = 1.0 / (length * top)
+        for k in range(column + 1, 4):
+            product = top * turned[column, k]
+            for row in range(column + 1, count):
+                product += turned[row, column] * turned[row, k]
+            product *= factor
+            turned[column, k] += product * top
+            for row in range(column + 1, count):
+                turned[row, k] += product * turned[row, column]
+        turned[column, column] = length
+
+
+@numba.njit(nogil=True)
+def _solve(
+    rows: FloatArray,
+    least: int,
+    kept: NDArray[np.bool_],
+    residual: FloatArray,
+    turned: FloatArray,
+    turn: FloatArray,
+    covariance: FloatArray,
+) -> tuple[bool, int, int]:
+    """The turn by passes of least squares until no star comes or goes. Returns (solved, passes, stars in all
+    passes together); covariance: of the turn.
+    """
+    count = residual.shape[0]
+    order = np.empty(count, np.int32)
+    wanted = np.empty(count, np.bool_)
+    stars = 0
+    spread = 1.0
+    passes = 0
+    for star in range(count):
+        kept[star] = True
+    while passes < PASSES:
+        passes += 1
+        stars += count
+        _triangularise(rows, kept, turned)
+        a, b, c = abs(turned[0, 0]), abs(turned[1, 1]), abs(turned[2, 2])
+        if min(a, b, c) <= 1e-3 * a:
+            return False, passes, stars
+        turn[2] = turned[2, 3] / turned[2, 2]
+        turn[1] = (turned[1, 3] - turned[1, 2] * turn[2]) / turned[1, 1]
+        turn[0] = (turned[0, 3] - turned[0, 1] * turn[1] - turned[0, 2] * turn[2]) / turned[0, 0]
+        squares = 0.0
+        degrees = -3
+        for star in range(count):
+            square = 0.0
+            for row in range(2 * star, 2 * star + 2):
+                error = rows[row, 3] - (
+                    rows[row, 0] * turn[0] + rows[row, 1] * turn[1] + rows[row, 2] * turn[2]
+                )
+                square += error * error
+            residual[star] = math.sqrt(square)
+            if kept[star]:
+                squares += square
+                degrees += 2
+            place = star
+            while place > 0 and residual[order[place - 1]] > residual[star]:
+                order[place] = order[place - 1]
+                place -= 1
+            order[place] = star
+        spread = (PRIOR_DEGREES + squares) / (PRIOR_DEGREES + max(degrees, 0))
+        median = 0.5 * (residual[order[(count - 1) // 2]] + residual[order[count // 2]])
+        limit = OUTLIER_SIGMA * math.sqrt(2.0 * max(median * median / RAYLEIGH_MEDIAN, LEAST_VARIANCE))
+        changed = False
+        for rank in range(count):
+            star = order[rank]
+            wanted[star] = residual[star] <= limit or rank < least
+            changed = changed or wanted[star] != kept[star]
+        if not changed:
+            break
+        for star in range(count):
+            kept[star] = wanted[star]
+    inverse = np.zeros((3, 3))
+    a, b, c = 1.0 / turned[0, 0], 1.0 / turned[1, 1], 1.0 / turned[2, 2]
+    inverse[0, 0], inverse[1, 1], inverse[2, 2] = a, b, c
+    inverse[0, 1] = -turned[0, 1] * a * b
+    inverse[1, 2] = -turned[1, 2] * b * c
+    inverse[0, 2] = -(turned[0, 1] * inverse[1, 2] + turned[0, 2] * c) * a
+    for i in range(3):
+        for j in range(i + 1):
+            product = 0.0
+            for k in range(i, 3):
+                product += inverse[i, k] * inverse[j, k]
+            covariance[i, j] = covariance[j, i] = spread * product
+    return True, passes, stars
 
 
 def rate_from_directions(
@@ -76,8 +214,7 @@ def rate_from_directions(
     across_rad: FloatArray,
     foreseen_rad_s: FloatArray | None = None,
 ) -> tuple[FlowRate | None, Work]:
-    """Rate of the sensor from unit vectors float64[n, 3] of the same stars at two instants, ``interval_s``
-    apart.
+    """Rate of the sensor from unit vectors float64[n, 3] of the same stars, ``interval_s`` apart.
 
     u2 - u1 = (u1 + u2) / 2 x t holds exactly for a turn about t whose length is 2 tan(a / 2) of its angle a
     (Cayley), so that a large turn leaves no bias. The three equations of F (4) for a star are two, along its
@@ -92,52 +229,21 @@ def rate_from_directions(
     count = len(before)
     if count < LEAST_STARS or interval_s <= 0.0:
         return None, work
-    middle, change = 0.5 * (before + after), after - before
-    # unit tangents: along the shift that is foreseen (any one where nothing moves), and across
-    foreseen = change if foreseen_rad_s is None else np.cross(middle, foreseen_rad_s)
-    along = foreseen - middle * (foreseen * middle).sum(axis=1, keepdims=True)
-    length = np.sqrt((along * along).sum(axis=1))
-    still = length < 1e-9
-    along[still] = np.cross(middle[still], np.array([0.0, 1.0, 0.0]))
-    length[still] = np.sqrt((along[still] ** 2).sum(axis=1))
-    along /= length[:, np.newaxis]
-    across = np.cross(middle, along)
-    # a . (m x t) = (a x m) . t
-    rows = np.empty((2 * count, 4))
-    for first, axis, sigma in ((0, along, along_rad), (1, across, across_rad)):
-        rows[first::2, :3] = np.cross(axis, middle) / sigma[:, np.newaxis]
-        rows[first::2, 3] = (axis * change).sum(axis=1) / sigma
+    rows, turned = np.empty((2 * count, 4)), np.empty((2 * count, 4))
+    turn, covariance, residual = np.zeros(3), np.zeros((3, 3)), np.zeros(count)
     kept = np.ones(count, np.bool_)
-    least = max(LEAST_STARS, math.ceil(2.0 * count / 3.0))
-    r = np.empty((3, 4))
-    turn = np.zeros(3)
-    residual = np.zeros(count)
-    spread = 1.0
-    for _ in range(PASSES):
-        work.add("flow_rates")
-        work.add("flow_rate_stars", count)
-        _triangularise(rows, kept, r)
-        if min(abs(r[0, 0]), abs(r[1, 1]), abs(r[2, 2])) < 1e-3 * abs(r[0, 0]):
-            return None, work
-        turn = _solve_triangle(r)
-        error = rows[:, 3] - rows[:, :3] @ turn
-        residual = np.sqrt(error[0::2] ** 2 + error[1::2] ** 2)
-        degrees = max(2 * int(kept.sum()) - 3, 0)
-        spread = (PRIOR_DEGREES + float((residual[kept] ** 2).sum())) / (PRIOR_DEGREES + degrees)
-        wanted = residual <= OUTLIER_SIGMA * math.sqrt(2.0 * _robust_variance(residual))
-        if int(wanted.sum()) < least:
-            order = np.argsort(residual, kind="stable")
-            wanted = np.zeros(count, np.bool_)
-            wanted[order[:least]] = True
-        if (wanted == kept).all():
-            break
-        kept = wanted
-    inverse = _inverse_triangle(r)
-    covariance = spread * (inverse @ inverse.T) / (interval_s * interval_s)
-    size = math.sqrt(float(turn @ turn))  # 2 tan(a / 2) of the angle a
+    foreseen = np.zeros(3) if foreseen_rad_s is None else np.ascontiguousarray(foreseen_rad_s, np.float64)
+    _equations(before, after, along_rad, across_rad, foreseen, foreseen_rad_s is not None, rows)
+    least = max(LEAST_STARS, -(-2 * count // 3))
+    solved, passes, stars = _solve(rows, least, kept, residual, turned, turn, covariance)
+    work += Work({"flow_equations": count, "flow_rates": passes, "flow_rate_stars": stars})
+    if not solved:
+        return None, work
+    x, y, z = turn.tolist()
+    size = math.sqrt(x * x + y * y + z * z)  # 2 tan(a / 2) of the angle a
     angle = 2.0 * math.atan(0.5 * size)
-    scale = angle / size if size > 0.0 else 1.0
-    return FlowRate(turn * scale / interval_s, covariance, residual, kept), work
+    scale = (angle / size if size > 0.0 else 1.0) / interval_s
+    return FlowRate(turn * scale, covariance / (interval_s * interval_s), residual, kept), work
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,8 +291,8 @@ def rate_by_flow(
 ) -> tuple[OpticalFlow, FlowRate | None]:
     """The flow from one frame to the next and the rate that it shows (F sections 2.1 and 2.2).
 
-    interval_s: from mid-exposure to mid-exposure. last: the rate of the frame before, if it is known. The
-    steps are put into ``log``.
+    interval_s: from mid-exposure to mid-exposure. last: the rate of the frame before, if it is known. The steps
+    are put into ``log``.
     """
     foreseen = None
     if settings.predicted and last is not None:
@@ -199,18 +305,19 @@ def rate_by_flow(
     )
     first, steps_before = geometry.counted_unit_vectors(flow.x_before_px, flow.y_before_px)
     second, steps_after = geometry.counted_unit_vectors(flow.x_px, flow.y_px)
-    vectors = {"unit_vectors": 2 * len(flow), "newton_steps": steps_before + steps_after}
-    log.count(Work(vectors))
-    alike = np.full(len(flow), math.sqrt(2.0) * settings.least_error_px / geometry.focal_px)
+    log.count(Work({"unit_vectors": 2 * len(flow), "newton_steps": steps_before + steps_after}))
     directions = {"before": first, "after": second, "interval_s": interval_s}
     if not settings.weighted:
+        alike = np.full(len(flow), math.sqrt(2.0) * settings.least_error_px / geometry.focal_px)
         return flow, log.run(
             "flow_rate", rate_from_directions, **directions, along_rad=alike, across_rad=alike
         )
     rate: FlowRate | None = None
-    streak = np.hypot(flow.x_px - flow.x_before_px, flow.y_px - flow.y_before_px) * (exposure_s / interval_s)
+    shift_x, shift_y = flow.x_px - flow.x_before_px, flow.y_px - flow.y_before_px
+    streak = np.sqrt(shift_x * shift_x + shift_y * shift_y) * (exposure_s / interval_s)
     for _ in range(REWEIGHTINGS):
         along, across_px = flow.errors_px(streak, settings.least_error_px)
+        log.count(Work({"shift_errors": len(flow)}))
         rate = log.run(
             "flow_rate",
             rate_from_directions,
@@ -222,26 +329,5 @@ def rate_by_flow(
         if rate is None:
             break
         moved = np.cross(first, rate.rate_rad_s)
-        streak = np.sqrt((moved * moved).sum(axis=1)) * exposure_s * geometry.focal_px
+        streak = np.sqrt((moved * moved).sum(axis=1)) * (exposure_s * geometry.focal_px)
     return flow, rate
-
-
-def _robust_variance(residual: FloatArray) -> float:
-    """Variance of an axis of a star's residual by their median (of a Rayleigh distribution), over that
-    expected; not below a ninth."""
-    median = float(np.median(residual))
-    return max(median * median / (2.0 * math.log(2.0)), 1.0 / 9.0)
-
-
-def _solve_triangle(r: FloatArray) -> FloatArray:
-    z = r[2, 3] / r[2, 2]
-    y = (r[1, 3] - r[1, 2] * z) / r[1, 1]
-    return np.array([(r[0, 3] - r[0, 1] * y - r[0, 2] * z) / r[0, 0], y, z])
-
-
-def _inverse_triangle(r: FloatArray) -> FloatArray:
-    a, b, c = 1.0 / r[0, 0], 1.0 / r[1, 1], 1.0 / r[2, 2]
-    ab = -r[0, 1] * a * b
-    bc = -r[1, 2] * b * c
-    ac = -(r[0, 1] * bc + r[0, 2] * c) * a
-    return np.array([[a, ab, ac], [0.0, b, bc], [0.0, 0.0, c]])

@@ -1,14 +1,12 @@
 """Optical flow of stars: where each star of one frame is in the next, without knowing which star it is.
 
-Fasano et al., "Optical flow-based angular rate", Sensors 13 (2013), section 2.1 (paper F). The whole image
-has one threshold, mean + 3 sigma; what is under it is zero. Stars of the first image are matched by the
-smallest sum of squared differences (SSD) over whole-pixel shifts, then refined by a centroid in the second
-image.
+Fasano et al., "Optical flow-based angular rate", Sensors 13 (2013), section 2.1 (paper F). Stars of the first
+image are matched by the smallest sum of squared differences (SSD) over whole-pixel shifts, then refined by a
+centroid in the second image. What is lit of an image is of ``lit_pixels.py``.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numba
@@ -16,86 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..work import Work
-from .clustering import (
-    FIRST_X,
-    FIRST_Y,
-    LAST_X,
-    LAST_Y,
-    PEAK,
-    PIXELS,
-    RUN_FIELDS,
-    SUM,
-    SUM_X,
-    SUM_Y,
-    join_runs,
-    sum_clusters,
-)
-from .detection import sorting_work
+from .lit_pixels import FlowFrame, FlowParameters, light_up
 
 __all__ = ["FlowFrame", "FlowParameters", "OpticalFlow", "flow_between", "light_up"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
-
-
-@dataclass(frozen=True, slots=True)
-class FlowParameters:
-    """What the optical flow is tuned by.
-
-    sigma_factor: threshold over the mean of the whole image, in standard deviations of the whole image (F
-    section 2.1: 3). min_pixels: stars of fewer lit pixels are dropped (F: 3). max_pixels, max_extent_px:
-    clusters beyond are no stars. largest_shift_px: of a star between two frames, on either axis: the largest
-    rate. margin_px: the window of the refining centroid is the star's plus this (F: 2). prediction_margin_px:
-    where a shift is foreseen, the search is only so far round it (F section 5 proposes such a feedback).
-    max_stars: the brightest are followed. max_runs: size of the run table.
-    """
-
-    sigma_factor: float = 3.0
-    min_pixels: int = 3
-    max_pixels: int = 4000
-    max_extent_px: int = 160
-    largest_shift_px: int = 40
-    margin_px: int = 2
-    centrings: int = 8
-    prediction_margin_px: int = 8
-    least_error_px: float = 0.1
-    max_stars: int = 60
-    max_runs: int = 32768
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
-
-
-@dataclass(frozen=True, slots=True)
-class FlowFrame:
-    """The lit pixels of one image and its stars: all that the next frame needs of this one.
-
-    runs: int32[r, 3] (row, first column, end column), row by row, left to right; row_start: int32[rows + 1];
-    offsets: int32[r], where the values of a run begin in values_dn: float32[lit], DN over the mean. x_px,
-    y_px, flux_dn: of the stars, brightest first; box: int32[n, 4], first and last column, first and last row.
-    mean_dn, sigma_dn: of the whole image. overflowed: more runs than the table holds; no stars then.
-    """
-
-    width_px: int
-    height_px: int
-    runs: IntArray
-    row_start: IntArray
-    offsets: IntArray
-    values_dn: NDArray[np.float32]
-    x_px: FloatArray
-    y_px: FloatArray
-    flux_dn: FloatArray
-    peak_dn: FloatArray
-    pixels: IntArray
-    box: IntArray
-    mean_dn: float
-    sigma_dn: float
-    overflowed: bool = False
-
-    def __len__(self) -> int:
-        return len(self.x_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +55,7 @@ class OpticalFlow:
         )
 
     def errors_px(self, streak_px: FloatArray, least_px: float) -> tuple[FloatArray, FloatArray]:
-        """Expected errors of the shifts along themselves and across, 1 sigma, where the stars' streaks are so
-        long.
+        """Expected errors of the shifts along themselves and across, 1 sigma, with streaks that are so long.
 
         Of a streak that is seen shorter the rest lies under the threshold: its middle may be anywhere along
         the whole, in both images. The length must not be taken from the star's own shift, for then one that
@@ -145,222 +68,199 @@ class OpticalFlow:
         return along, np.sqrt(floor + 2.0 * self.noise**2)
 
 
-@numba.njit(nogil=True)
-def _statistics(image: NDArray[np.uint16]) -> tuple[float, float]:
-    """Mean and standard deviation of all pixels; the sums are whole numbers and exact."""
-    total = np.uint64(0)
-    squares = np.uint64(0)
-    rows, columns = image.shape
-    for row in range(rows):
-        line_total = np.uint64(0)
-        line_squares = np.uint64(0)
-        line = image[row]
-        for column in range(columns):
-            value = np.uint32(line[column])
-            line_total += value
-            line_squares += np.uint64(value) * np.uint64(value)
-        total += line_total
-        squares += line_squares
-    count = float(rows * columns)
-    mean = float(total) / count
-    return mean, math.sqrt(max(float(squares) / count - mean * mean, 0.0))
+# pieces int32[n, 3]: first column, end column, both counted from a window's first, where the values begin
+PIECE_FIRST, PIECE_END, PIECE_VALUES = range(3)
+
+# counts of _follow
+ROWS, RUNS, SHIFT_ROWS, LINES, PAIRS, SHIFTS, CENTRINGS = range(7)
+COUNT_NAMES = (
+    "flow_rows",
+    "runs_looked_at",
+    "shift_rows",
+    "lines_matched",
+    "pixels_matched",
+    "shifts_compared",
+    "flow_centrings",
+)
 
 
 @numba.njit(nogil=True)
-def _lit_runs(image: NDArray[np.uint16], limit: int, runs: IntArray, row_start: IntArray) -> tuple[int, bool]:
-    """Runs of pixels over ``limit``. Returns (runs, overflowed)."""
-    count = 0
-    capacity = runs.shape[0]
-    rows, columns = image.shape
-    for row in range(rows):
-        row_start[row] = count
-        line = image[row]
-        column = 0
-        while column < columns:
-            if line[column] <= limit:
-                column += 1
-                continue
-            if count == capacity:
-                for rest in range(row + 1, rows + 1):
-                    row_start[rest] = count
-                return count, True
-            runs[count, 0] = row
-            runs[count, 1] = column
-            while column < columns and line[column] > limit:
-                column += 1
-            runs[count, 2] = column
-            count += 1
-    row_start[rows] = count
-    return count, False
-
-
-@numba.njit(nogil=True)
-def _values(
-    image: NDArray[np.uint16], runs: IntArray, mean: float, offsets: IntArray, values: NDArray[np.float32]
+def _pieces(
+    x0: int,
+    x1: int,
+    y0: int,
+    y1: int,
+    runs: IntArray,
+    row_start: IntArray,
+    offsets: IntArray,
+    pieces: IntArray,
+    piece_start: IntArray,
+    tally: NDArray[np.int64],
 ) -> None:
-    place = 0
-    for run in range(runs.shape[0]):
-        offsets[run] = place
-        for column in range(runs[run, 1], runs[run, 2]):
-            values[place] = np.float32(float(image[runs[run, 0], column]) - mean)
-            place += 1
-
-
-def light_up(image: NDArray[np.uint16], parameters: FlowParameters) -> tuple[FlowFrame, Work]:
-    """The lit pixels and the stars of an image ``uint16[rows, columns]``, DN.
-
-    A pixel is lit where it is over mean + ``sigma_factor`` standard deviations of the whole image (F section
-    2.1). Lit pixels that touch are one star; its place is the mean of its pixels, weighted by what they have
-    over the image's mean. Stars at the very edge are dropped: a part of them may be outside.
+    """The parts of the runs that lie in columns x0 to x1 - 1 of rows y0 to y1 - 1, rows outside the image
+    without any; ``piece_start[y1 - y0 + 1]``: where the rows' pieces begin.
     """
-    if image.ndim != 2 or image.dtype != np.uint16:
-        raise ValueError(f"an image is uint16[rows, columns], not {image.dtype}{list(image.shape)}")
-    image = np.ascontiguousarray(image)
-    rows, columns = image.shape
-    mean, sigma = _statistics(image)
-    limit = math.floor(mean + parameters.sigma_factor * sigma)
-    runs = np.empty((parameters.max_runs, RUN_FIELDS), np.int32)
-    row_start = np.empty(rows + 1, np.int32)
-    count, overflowed = _lit_runs(image, limit, runs, row_start)
-    runs = runs[:count].copy()
-    lit = int((runs[:, 2] - runs[:, 1]).sum())
-    offsets, values = np.empty(count, np.int32), np.empty(lit, np.float32)
-    _values(image, runs, mean, offsets, values)
-    label = np.empty(count, np.int32)
-    clusters, _ = join_runs(runs, count, row_start, label)
-    table = sum_clusters(image, runs, count, np.full(count, mean), label, clusters)
-    wide = np.maximum(table[:, LAST_X] - table[:, FIRST_X], table[:, LAST_Y] - table[:, FIRST_Y]) + 1
-    inside = (table[:, FIRST_X] > 0) & (table[:, LAST_X] < columns - 1)
-    inside &= (table[:, FIRST_Y] > 0) & (table[:, LAST_Y] < rows - 1)
-    fit = (table[:, PIXELS] >= parameters.min_pixels) & (table[:, PIXELS] <= parameters.max_pixels)
-    chosen = np.flatnonzero(inside & fit & (wide <= parameters.max_extent_px))
-    if overflowed:
-        chosen = chosen[:0]
-    order = chosen[np.argsort(-table[chosen, SUM], kind="stable")][: parameters.max_stars]
-    stars = table[order]
-    frame = FlowFrame(
-        width_px=columns,
-        height_px=rows,
-        runs=runs,
-        row_start=row_start,
-        offsets=offsets,
-        values_dn=values,
-        x_px=stars[:, SUM_X] / stars[:, SUM],
-        y_px=stars[:, SUM_Y] / stars[:, SUM],
-        flux_dn=stars[:, SUM].copy(),
-        peak_dn=stars[:, PEAK].copy(),
-        pixels=stars[:, PIXELS].astype(np.int32),
-        box=np.ascontiguousarray(stars[:, [FIRST_X, LAST_X, FIRST_Y, LAST_Y]].astype(np.int32)),
-        mean_dn=mean,
-        sigma_dn=sigma,
-        overflowed=overflowed,
-    )
-    work = Work(
-        {
-            "flow_pixels": rows * columns,
-            "lit_pixels": lit,
-            "clusterings": 1,
-            "run_tables": 1,
-            "cold_runs": count,
-            "runs": count,
-            "rows_joined": rows,
-            "cluster_pixels": lit,
-            "clusters": clusters,
-            "spots_sorted": sorting_work(len(chosen)),
-        }
-    )
-    return frame, work
+    count = 0
+    height_px = row_start.shape[0] - 1
+    for row in range(y0, y1):
+        piece_start[row - y0] = count
+        if row < 0 or row >= height_px:
+            continue
+        tally[ROWS] += 1
+        for run in range(row_start[row], row_start[row + 1]):
+            tally[RUNS] += 1
+            if runs[run, 1] >= x1:
+                break
+            if runs[run, 2] <= x0:
+                continue
+            first = max(runs[run, 1], x0)
+            pieces[count, PIECE_FIRST] = first - x0
+            pieces[count, PIECE_END] = min(runs[run, 2], x1) - x0
+            pieces[count, PIECE_VALUES] = offsets[run] + first - runs[run, 1]
+            count += 1
+    piece_start[y1 - y0] = count
+
+
+@numba.njit(nogil=True)
+def _add_squares(
+    row: int,
+    sign: int,
+    pieces: IntArray,
+    piece_start: IntArray,
+    values: IntArray,
+    column_energy: NDArray[np.int64],
+) -> int:
+    """Add a row's squares to the columns' sums, or take them away; returns how many."""
+    pixels = 0
+    for piece in range(piece_start[row], piece_start[row + 1]):
+        place = pieces[piece, PIECE_VALUES]
+        for column in range(pieces[piece, PIECE_FIRST], pieces[piece, PIECE_END]):
+            value = np.int64(values[place])
+            column_energy[column] += sign * value * value
+            place += 1
+            pixels += 1
+    return pixels
 
 
 @numba.njit(nogil=True)
 def _coarse_shift(
-    own: FloatArray,
-    first_column: int,
-    first_row: int,
-    low_x: int,
-    low_y: int,
+    height: int,
+    width: int,
+    own: IntArray,
+    own_start: IntArray,
+    own_values: IntArray,
+    second: IntArray,
+    second_start: IntArray,
+    second_values: IntArray,
     shifts: int,
-    runs: IntArray,
-    row_start: IntArray,
-    offsets: IntArray,
-    values: NDArray[np.float32],
-    height_px: int,
-    foreseen_x: float,
-    foreseen_y: float,
-    energy: FloatArray,
-    product: FloatArray,
-) -> tuple[int, int, float, int]:
-    """The whole-pixel shift of the least SSD: (dx, dy, SSD / the star's energy, pairs of pixels).
+    away_x: float,
+    away_y: float,
+    column_energy: NDArray[np.int64],
+    product: NDArray[np.int64],
+    tally: NDArray[np.int64],
+) -> tuple[int, int, float]:
+    """The whole-pixel shift of the least SSD: (column, row of the ``shifts`` on either axis, SSD / the star's
+    energy).
 
-    own: float64[h, w], the star's window of the first image, first pixel at (first_column, first_row); shifts
-    from (low_x, low_y) on, ``shifts`` on either axis. SSD = sum own^2 + sum second^2 - 2 sum own second, and
-    only lit pixels of the second image add to its last two sums. Of equal shifts the one nearest to that
-    foreseen wins. Sums are of whole numbers of 1/16 DN in order, so that every machine finds the same.
+    own: the star's pieces in its window; second: those of the other image in that window moved to all shifts,
+    shifts - 1 wider and higher. SSD = sum own^2 + sum second^2 - 2 sum own second; pixels that are not lit
+    add nothing to any of them, and a shift at which no two lit ones meet is none. The second sum of a row of
+    shifts is kept by columns, to which a row is added at one end and taken away at the other. Of equal shifts
+    the one nearest to (away_x, away_y) wins. Sums are whole numbers, so that every machine finds the same.
     """
-    height, width = own.shape
-    for i in range(shifts):
-        for j in range(shifts):
-            energy[i, j] = 0.0
-            product[i, j] = 0.0
-    total = 0.0
-    for r in range(height):
-        for c in range(width):
-            total += own[r, c] * own[r, c]
-    pairs = 0
-    top = max(first_row + low_y, 0)
-    bottom = min(first_row + low_y + shifts + height - 1, height_px)
-    left, right = first_column + low_x, first_column + low_x + shifts + width - 1
-    for row in range(top, bottom):
-        for run in range(row_start[row], row_start[row + 1]):
-            if runs[run, 2] <= left or runs[run, 1] >= right:
-                continue
-            for column in range(max(runs[run, 1], left), min(runs[run, 2], right)):
-                value = float(values[offsets[run] + column - runs[run, 1]])
-                square = value * value
-                for r in range(height):
-                    i = row - (first_row + r) - low_y
-                    if i < 0 or i >= shifts:
-                        continue
-                    for c in range(width):
-                        j = column - (first_column + c) - low_x
-                        if 0 <= j < shifts:
-                            energy[i, j] += square
-                            product[i, j] += own[r, c] * value
-                            pairs += 1
-    best, best_distance = np.inf, np.inf
+    total = np.int64(0)
+    for piece in range(own_start[height]):
+        place = own[piece, PIECE_VALUES]
+        for _ in range(own[piece, PIECE_FIRST], own[piece, PIECE_END]):
+            value = np.int64(own_values[place])
+            total += value * value
+            place += 1
+    for column in range(shifts + width - 1):
+        column_energy[column] = 0
+    for j in range(shifts):
+        product[j] = 0
+    best = total  # as of nothing: a shift must be better
     best_i, best_j = -1, -1
+    lit = 0
+    for row in range(height - 1):
+        lit += _add_squares(row, 1, second, second_start, second_values, column_energy)
     for i in range(shifts):
-        for j in range(shifts):
-            if product[i, j] <= 0.0:
-                continue
-            ssd = total + energy[i, j] - 2.0 * product[i, j]
-            if ssd > best:
-                continue
-            distance = (low_y + i - foreseen_y) ** 2 + (low_x + j - foreseen_x) ** 2
-            if ssd < best or distance < best_distance:
-                best, best_distance, best_i, best_j = ssd, distance, i, j
-    if best_i < 0 or total <= 0.0:
-        return 0, 0, 1.0, pairs
-    return low_x + best_j, low_y + best_i, best / total, pairs
+        lit += _add_squares(i + height - 1, 1, second, second_start, second_values, column_energy)
+        if lit > 0:
+            least_j, most_j = shifts, -1
+            for r in range(height):
+                for b in range(second_start[i + r], second_start[i + r + 1]):
+                    first, end = second[b, PIECE_FIRST], second[b, PIECE_END]
+                    for a in range(own_start[r], own_start[r + 1]):
+                        own_first, own_end = own[a, PIECE_FIRST], own[a, PIECE_END]
+                        # columns of the star that meet this piece at one of the shifts
+                        low, high = max(own_first, first - shifts + 1), min(own_end, end)
+                        if low >= high:
+                            continue
+                        least_j = min(least_j, max(first - high + 1, 0))
+                        most_j = max(most_j, min(end - 1 - low, shifts - 1))
+                        tally[LINES] += high - low
+                        for c in range(low, high):
+                            value = np.int64(own_values[own[a, PIECE_VALUES] + c - own_first])
+                            left, right = max(first, c), min(end, c + shifts)
+                            place = second[b, PIECE_VALUES] + left - first
+                            tally[PAIRS] += right - left
+                            for u in range(left, right):
+                                product[u - c] += value * second_values[place]
+                                place += 1
+            if most_j >= 0:
+                tally[SHIFTS] += most_j - least_j + 1
+                tally[SHIFT_ROWS] += 1
+                energy = np.int64(0)
+                for column in range(least_j, least_j + width - 1):
+                    energy += column_energy[column]
+                for j in range(least_j, most_j + 1):
+                    energy += column_energy[j + width - 1]
+                    if product[j] > 0:
+                        ssd = total + energy - 2 * product[j]
+                        product[j] = 0
+                        if ssd < best or (
+                            ssd == best
+                            and best_i >= 0
+                            and (i - away_y) ** 2 + (j - away_x) ** 2
+                            < (best_i - away_y) ** 2 + (best_j - away_x) ** 2
+                        ):
+                            best, best_i, best_j = ssd, i, j
+                    energy -= column_energy[j]
+        lit -= _add_squares(i, -1, second, second_start, second_values, column_energy)
+    if best_i < 0:
+        return 0, 0, 1.0
+    return best_j, best_i, float(best) / float(total)
 
 
 @numba.njit(nogil=True)
-def _window(
+def _centre(
     x0: int,
     y0: int,
-    window: FloatArray,
+    width: int,
+    height: int,
     runs: IntArray,
     row_start: IntArray,
     offsets: IntArray,
-    values: NDArray[np.float32],
-) -> None:
-    """window[row - y0, column - x0] = the lit pixels' values, else 0; the window lies inside the image."""
-    for r in range(window.shape[0]):
-        for c in range(window.shape[1]):
-            window[r, c] = 0.0
+    values: IntArray,
+    tally: NDArray[np.int64],
+) -> tuple[np.int64, np.int64, np.int64]:
+    """Sums of the lit pixels in a window inside the image: value, value times column and row there."""
+    total, total_x, total_y = np.int64(0), np.int64(0), np.int64(0)
+    tally[ROWS] += height
+    for r in range(height):
+        line = np.int64(0)
         for run in range(row_start[y0 + r], row_start[y0 + r + 1]):
-            for column in range(max(runs[run, 1], x0), min(runs[run, 2], x0 + window.shape[1])):
-                window[r, column - x0] = float(values[offsets[run] + column - runs[run, 1]])
+            tally[RUNS] += 1
+            if runs[run, 1] >= x0 + width:
+                break
+            for column in range(max(runs[run, 1], x0), min(runs[run, 2], x0 + width)):
+                value = np.int64(values[offsets[run] + column - runs[run, 1]])
+                line += value
+                total_x += value * (column - x0)
+        total += line
+        total_y += line * r
+    return total, total_x, total_y
 
 
 @numba.njit(nogil=True)
@@ -369,72 +269,70 @@ def _follow(
     runs_a: IntArray,
     start_a: IntArray,
     offsets_a: IntArray,
-    values_a: NDArray[np.float32],
+    values_a: IntArray,
     runs_b: IntArray,
     start_b: IntArray,
     offsets_b: IntArray,
-    values_b: NDArray[np.float32],
+    values_b: IntArray,
     width_px: int,
-    height_px: int,
     foreseen: FloatArray,
     reach: int,
     margin: int,
     centrings: int,
     places: FloatArray,
     found: FloatArray,
-) -> tuple[int, int]:
-    """For each box (x, y, mismatch) into found[n, 3], mismatch < 0 where there is nothing. Returns (pairs of
-    pixels compared, pixels weighted)."""
+    tally: NDArray[np.int64],
+) -> None:
+    """For each box (x, y, mismatch) into found[n, 3], mismatch -1: nothing; counts into ``tally``."""
+    height_px = start_a.shape[0] - 1
     shifts = 2 * reach + 1
-    energy, product = np.empty((shifts, shifts)), np.empty((shifts, shifts))
-    pairs = 0
-    weighted = 0
+    tallest, widest = 1, 1
+    for star in range(box.shape[0]):
+        widest = max(widest, box[star, 1] - box[star, 0] + 1)
+        tallest = max(tallest, box[star, 3] - box[star, 2] + 1)
+    own, own_start = np.empty((runs_a.shape[0], 3), np.int32), np.empty(tallest + 1, np.int32)
+    second, second_start = np.empty((runs_b.shape[0], 3), np.int32), np.empty(tallest + shifts, np.int32)
+    column_energy, product = np.empty(widest + shifts - 1, np.int64), np.empty(shifts, np.int64)
     for star in range(box.shape[0]):
         found[star, 2] = -1.0
         x0, x1, y0, y1 = box[star, 0], box[star, 1], box[star, 2], box[star, 3]
-        own = np.empty((y1 - y0 + 1, x1 - x0 + 1))
-        _window(x0, y0, own, runs_a, start_a, offsets_a, values_a)
+        width, height = x1 - x0 + 1, y1 - y0 + 1
         low_x, low_y = int(np.rint(foreseen[star, 0])) - reach, int(np.rint(foreseen[star, 1])) - reach
-        dx, dy, mismatch, compared = _coarse_shift(
-            own, x0, y0, low_x, low_y, shifts, runs_b, start_b, offsets_b, values_b, height_px,
-            foreseen[star, 0], foreseen[star, 1], energy, product,
+        _pieces(x0, x1 + 1, y0, y1 + 1, runs_a, start_a, offsets_a, own, own_start, tally)
+        _pieces(
+            x0 + low_x, x1 + low_x + shifts, y0 + low_y, y1 + low_y + shifts,
+            runs_b, start_b, offsets_b, second, second_start, tally,
         )  # fmt: skip
-        pairs += compared
-        # where the star stands in its own window
-        place_x, place_y = places[star, 0] - x0 + margin, places[star, 1] - y0 + margin
+        j, i, mismatch = _coarse_shift(
+            height, width, own, own_start, values_a, second, second_start, values_b, shifts,
+            foreseen[star, 0] - low_x, foreseen[star, 1] - low_y, column_energy, product, tally,
+        )  # fmt: skip
         if mismatch >= 1.0:
             continue
-        wide, high = x1 - x0 + 1 + 2 * margin, y1 - y0 + 1 + 2 * margin
-        second = np.empty((high, wide))
-        left, top = x0 + dx - margin, y0 + dy - margin
+        # where the star stands in its own window
+        place_x, place_y = places[star, 0] - x0 + margin, places[star, 1] - y0 + margin
+        wide, high = width + 2 * margin, height + 2 * margin
+        left, top = x0 + low_x + j - margin, y0 + low_y + i - margin
         for _ in range(centrings):
             if left < 0 or top < 0 or left + wide > width_px or top + high > height_px:
                 found[star, 2] = -1.0
                 break
-            _window(left, top, second, runs_b, start_b, offsets_b, values_b)
-            total = 0.0
-            total_x = 0.0
-            total_y = 0.0
-            for r in range(high):
-                for c in range(wide):
-                    value = second[r, c]
-                    total += value
-                    total_x += value * c
-                    total_y += value * r
-            weighted += high * wide
-            if total <= 0.0:
+            tally[CENTRINGS] += 1
+            total, total_x, total_y = _centre(
+                left, top, wide, high, runs_b, start_b, offsets_b, values_b, tally
+            )
+            if total <= 0:
                 break
-            found[star, 0] = left + total_x / total
-            found[star, 1] = top + total_y / total
+            centre_x, centre_y = float(total_x) / float(total), float(total_y) / float(total)
+            found[star, 0] = left + centre_x
+            found[star, 1] = top + centre_y
             found[star, 2] = mismatch
             # where the window stands off its light, that light is cut: it goes after it, by whole pixels
-            step_x = int(np.rint(found[star, 0] - left - place_x))
-            step_y = int(np.rint(found[star, 1] - top - place_y))
+            step_x, step_y = int(np.rint(centre_x - place_x)), int(np.rint(centre_y - place_y))
             if step_x == 0 and step_y == 0:
                 break
             left += step_x
             top += step_y
-    return pairs, weighted
 
 
 def flow_between(
@@ -456,15 +354,15 @@ def flow_between(
         np.zeros((len(before), 2)) if foreseen_px is None else np.ascontiguousarray(foreseen_px, np.float64)
     )
     found = np.empty((len(before), 3))
-    pairs, weighted = _follow(
-        before.box, before.runs, before.row_start, before.offsets, before.values_dn,
-        after.runs, after.row_start, after.offsets, after.values_dn,
-        before.width_px, before.height_px, expected, reach, parameters.margin_px,
-        parameters.centrings, np.stack([before.x_px, before.y_px], axis=1), found,
+    tally = np.zeros(len(COUNT_NAMES), np.int64)
+    _follow(
+        before.box, before.runs, before.row_start, before.offsets, before.values,
+        after.runs, after.row_start, after.offsets, after.values,
+        before.width_px, expected, reach, parameters.margin_px,
+        parameters.centrings, np.stack([before.x_px, before.y_px], axis=1), found, tally,
     )  # fmt: skip
-    length = np.hypot(before.box[:, 1] - before.box[:, 0], before.box[:, 3] - before.box[:, 2])
-    noise = before.sigma_dn * np.sqrt(before.pixels) / before.flux_dn
     star = np.flatnonzero(found[:, 2] >= 0.0).astype(np.int32)
+    sides = (before.box[star, 1::2] - before.box[star, ::2]).astype(np.float64)
     return OpticalFlow(
         star,
         before.x_px[star],
@@ -472,13 +370,11 @@ def flow_between(
         found[star, 0],
         found[star, 1],
         found[star, 2],
-        length[star].astype(np.float64),
-        noise[star],
+        np.sqrt(sides[:, 0] ** 2 + sides[:, 1] ** 2),
+        before.sigma_dn * np.sqrt(before.pixels[star]) / before.flux_dn[star],
     ), Work(
         {
             "stars_followed": len(before),
-            "shifts_compared": len(before) * (2 * reach + 1) ** 2,
-            "pixels_matched": pairs,
-            "centroid_pixels": weighted,
+            **dict(zip(COUNT_NAMES, tally.tolist(), strict=True)),
         }
     )

@@ -30,7 +30,8 @@ def test_each_step_of_a_frame_has_kernels():
 
 def test_every_step_is_run_and_gives_what_python_gives(simulated):
     assert simulated.failure == ""
-    assert {sample.step for sample in simulated.samples} == set(STEPS)
+    made = {step.name for family in own_records() for step in families()[family].STEPS}
+    assert {sample.step for sample in simulated.samples} == set(STEPS) - made
     assert {sample.kind for sample in simulated.samples} == {LOST_IN_SPACE, TRACKING, IDENTIFY}
 
 

@@ -48,7 +48,9 @@ __all__ = [
     "TRACKING",
     "FrameRecords",
     "SkySequence",
+    "configured_without_costs",
     "records_of",
+    "renderer_of",
     "sequences",
 ]
 
@@ -190,7 +192,7 @@ def _configured(sequence: SkySequence) -> tuple[UnitProfile, FirmwareConfigurati
         if not profile.detector.hot_pixel_electrons_s:
             hot["hot_pixel_electrons_s"] = 4 * profile.detector.full_well_electrons
         profile = with_section(profile, "detector", **hot)
-    configuration = _without_costs(profile, dict(sequence.parameters))
+    configuration = configured_without_costs(profile, dict(sequence.parameters))
     identification = replace(
         configuration.identification,
         max_triads=_NO_LIMIT,
@@ -205,7 +207,7 @@ def _configured(sequence: SkySequence) -> tuple[UnitProfile, FirmwareConfigurati
     )
 
 
-def _without_costs(profile: UnitProfile, parameters: dict[str, float]) -> FirmwareConfiguration:
+def configured_without_costs(profile: UnitProfile, parameters: dict[str, float]) -> FirmwareConfiguration:
     """The unit's configuration, whatever the committed cycle costs: each count costs one cycle.
 
     A count that is new in ``work.py`` has no cost before it is calibrated.
@@ -225,7 +227,7 @@ def records_of(sequence: SkySequence) -> Iterator[FrameRecords]:
     """
     profile, configuration = _configured(sequence)
     tables = star_tables(profile)
-    renderer = _renderer(profile, sequence)
+    renderer = renderer_of(profile, sequence)
     period_ns = profile.frame_period_ns * (sequence.frames_lost + 1)
     state = FirmwareState.initial()
     others: list[StepRecord] = []
@@ -264,7 +266,8 @@ def _others(steps: Sequence[StepRecord], own: str) -> list[StepRecord]:
     return found
 
 
-def _renderer(profile: UnitProfile, sequence: SkySequence) -> SceneRenderer:
+def renderer_of(profile: UnitProfile, sequence: SkySequence) -> SceneRenderer:
+    """The sky of a sequence as the unit sees it."""
     start = start_tai_ns()
     q = random_pointings(sequence.number + 1, sequence.seed)[sequence.number]
     rate = np.radians(sequence.rate_deg_s)
