@@ -291,8 +291,8 @@ def rate_by_flow(
 ) -> tuple[OpticalFlow, FlowRate | None]:
     """The flow from one frame to the next and the rate that it shows (F sections 2.1 and 2.2).
 
-    interval_s: from mid-exposure to mid-exposure. last: the rate of the frame before, if it is known. The steps
-    are put into ``log``.
+    interval_s: from mid-exposure to mid-exposure. last: the rate of the frame before, if it is known. The
+    steps are put into ``log``.
     """
     foreseen = None
     if settings.predicted and last is not None:

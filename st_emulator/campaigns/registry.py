@@ -59,6 +59,7 @@ def campaigns() -> dict[str, Campaign]:
     # Imported here: the command line's help needs none of it.
     from . import (
         accuracy,
+        aps,
         catalogue_counts,
         earth_rate,
         false_stars,
@@ -73,6 +74,12 @@ def campaigns() -> dict[str, Campaign]:
 
     return {
         "accuracy": Campaign("attitude error over seeded pointings", 100, accuracy.run),
+        "aps": Campaign(
+            "tables 3 to 13 of Schiattarella, Spiller and Curti 2020", 200, aps.run, unit="aps_rs"
+        ),
+        "aps-best": Campaign(
+            "tables 3 to 9 of the same, without false objects", 200, aps.run_best, unit="aps_rs"
+        ),
         "catalogue-counts": Campaign(
             "stars by magnitude and pairs of the catalogue", 1, catalogue_counts.run, spread=False, plots=True
         ),
@@ -105,6 +112,8 @@ def campaigns() -> dict[str, Campaign]:
 
 CAMPAIGNS = (
     "accuracy",
+    "aps",
+    "aps-best",
     "catalogue-counts",
     "centroids",
     "detection",
