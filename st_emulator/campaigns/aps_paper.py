@@ -7,7 +7,7 @@ from typing import Final
 RATES_DEG_S: Final = (0, 1, 2, 3, 4, 5)
 IMAGES: Final = (2, 10, 20, 30, 40, 50, 60)
 
-#: Mean, standard deviation, skewness, kurtosis of centroid errors, px, 1 to 5 deg/s; horizontal, then vertical.
+#: Mean, standard deviation, skewness, kurtosis of centroid errors, px, 1 to 5 deg/s; horizontal, vertical.
 CENTROIDS: Final[dict[str, tuple[tuple[tuple[float, float, float, float], ...], ...]]] = {
     "table 3: global shutter": (
         (
