@@ -26,8 +26,8 @@ SPOT_FIELDS = 8
 SMALL, LARGE, SHARP, EDGE, FAINT = range(5)
 PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(5, 10)
 TABLES, REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED, JUDGED, INTERPOLATED = range(10, 18)
-ENERGIES, LENGTHS, PIECES, PIECE_RUNS, RESUMMED = range(18, 23)
-TALLIES = 23
+ENERGIES, LENGTHS, PIECES, PIECE_RUNS, RESUMMED, ENERGY_TABLES = range(18, 24)
+TALLIES = 24
 
 
 class SpotLimits(NamedTuple):
@@ -62,6 +62,7 @@ def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
         "interpolated_tables": tally[INTERPOLATED],
         "interpolations_solved": tally[SOLVED],
         "spots_judged": tally[JUDGED],
+        "energy_tables": tally[ENERGY_TABLES],
         "energies": tally[ENERGIES],
     }
 

@@ -35,7 +35,7 @@ def measure_clusters(
     The verdicts are those of ``centroid.measure_spots`` and in its order; a cluster at the edge of the
     image is EDGE, as some of its light is not there. ``spots``, ``outcome``, ``tally``: as there.
     """
-    tally[centroid.TABLES] += 1
+    tally[centroid.ENERGY_TABLES] += 1
     found = 0
     for cluster in range(clusters.shape[0]):
         entry = clusters[cluster]
@@ -56,7 +56,6 @@ def measure_clusters(
             tally[outcome[cluster]] += 1
             tally[centroid.REFUSED] += 1
             continue
-        tally[centroid.JUDGED] += 1
         tally[centroid.ENERGIES] += 1
         flux = entry[SUM]
         magnitude = -2.5 * math.log10(flux / limits.zero_point_dn)
