@@ -25,7 +25,7 @@ from st_emulator.firmware_model.work import Work
 
 __all__ = ["streak_records"]
 
-SIZE_PX = 256
+SIZE_PX = 1024  # as the units: what is done once a row or an image must weigh as it does there
 CAMERA = CameraGeometry(SIZE_PX, SIZE_PX, 2889.0)
 DISTORTED = replace(CAMERA, k1=-0.05, k2=0.01)
 ERROR = CentroidError(0.01, 0.75, 25.0, 2)
@@ -64,7 +64,7 @@ def _picture(
 
 
 def _scene(rng: np.random.Generator) -> _Scene:
-    count = int(rng.integers(4, 60))
+    count = int(rng.integers(4, 160))
     angle = rng.uniform(0, 2 * np.pi)
     streak = rng.choice([0.0, 2.0, 10.0, 25.0, 40.0]) * np.array([np.cos(angle), np.sin(angle)])
     stars = rng.uniform(10, SIZE_PX - 10, (count, 2))
