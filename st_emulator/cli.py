@@ -168,7 +168,7 @@ def run(
         typer.Option(
             "--control",
             metavar="HOST:PORT",
-            help="In a run paced by the computer: the same socket for faults, the true state and counters.",
+            help="In a run paced by the computer: the socket for faults, power, true state, counters.",
         ),
     ] = None,
     token_file: Annotated[

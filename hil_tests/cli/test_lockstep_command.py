@@ -212,6 +212,13 @@ def test_a_paced_unit_is_looked_into(tmp_path):
                 assert time.monotonic() < deadline
             assert client.truth()["t_ns"] > before["t_ns"]
             assert client.counters()["boot_count"] == 1
+            with pytest.raises(ControlError, match="has processed none"):
+                client.truth_of_frame(0)
+            client.power(False)
+            assert client.state()["mode"] == "OFF"
+            client.power(True)
+            assert client.state()["mode"] == "BOOT"
+            assert client.counters()["boot_count"] == 2
         assert unit.stop(signal.SIGTERM) == 0
 
 

@@ -6,6 +6,7 @@ import json
 import random
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -476,3 +477,13 @@ def test_the_truth_of_a_frame_is_that_of_its_mid_exposure():
     for wrong in (10**6, -1, "then", 1.5, None):
         assert end.refused({"do": "truth", "frame": wrong})[0] == "argument"
     desk.close()
+
+
+def test_every_request_and_argument_is_documented():
+    page = (Path(__file__).parents[2] / "docs/lockstep.md").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    for name, request in REQUESTS.items():
+        (row,) = [line for line in rows if f"`{name}`" in line.split("|")[1]]
+        assert ("*" in row.split("|")[1]) == request.of_time, name
+        for argument in request.arguments:
+            assert argument == "*" or f"`{argument}`" in row, (name, argument)

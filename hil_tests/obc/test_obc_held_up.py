@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
@@ -42,9 +43,12 @@ def test_the_answer_is_waited_for_from_then_on() -> None:
 
 
 class Held:
-    """A thread that waits for the link on a made clock, which is held up when `held_up_s` says so."""
+    """A thread that waits on a made clock; `woken`: what the computer does before it lets it go on."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, woken: Callable[[Held], None] = lambda held: None
+    ) -> None:
+        self.woken = woken
         self.now_ns = 0
         self.waits: list[float] = []
         self.taken: list[tuple[bytes, int]] = []
@@ -58,11 +62,8 @@ class Held:
         assert timeout_s is not None
         self.waits.append(timeout_s)
         self.now_ns += round(timeout_s * S)
-        self.woken()
+        self.woken(self)
         return [], [], []
-
-    def woken(self) -> None:
-        """What the computer does before the thread goes on."""
 
     def read(self) -> bytes:
         data, self.inbox = self.inbox, b""
@@ -97,27 +98,23 @@ def test_a_deadline_in_time_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_deadline_that_passed_meanwhile_is_put_off(
     monkeypatch: pytest.MonkeyPatch, held_up_ms: int, excused_ms: int
 ) -> None:
-    held = Held(monkeypatch)
-
-    def woken() -> None:
+    def woken(held: Held) -> None:
         if len(held.waits) == 1:
             held.now_ns += held_up_ms * MS
 
-    held.woken = woken  # type: ignore[method-assign]
+    held = Held(monkeypatch, woken)
     held.listen()
     assert held.waits == [1.0, excused_ms / 1000]
     assert held.taken == [(b"", S + (held_up_ms + excused_ms) * MS)]
 
 
 def test_what_comes_in_that_time_came_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    held = Held(monkeypatch)
-
-    def woken() -> None:
+    def woken(held: Held) -> None:
         if len(held.waits) == 1:
             held.now_ns += 3 * S
         else:
             held.inbox = b"answer"
 
-    held.woken = woken  # type: ignore[method-assign]
+    held = Held(monkeypatch, woken)
     held.listen()
     assert held.taken == [(b"answer", S - 1)]

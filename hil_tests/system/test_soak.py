@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import io
 import json
 import re
 import signal
@@ -15,6 +16,8 @@ from typing import Any
 import pytest
 
 from st_emulator.bench.journal import JournalEntry, JournalReader
+from st_emulator.clock import NS_PER_S
+from st_emulator.firmware_model.modes import Mode
 from tools.soaking.judging import count, growth_kib_per_hour, replayed
 from tools.soaking.run import Grid, Outcome, Soak
 
@@ -212,6 +215,19 @@ def test_a_clock_that_is_wrong_and_a_frame_too_many_are_seen(monkeypatch: pytest
     assert soak.grid.started == soak.grid.expected
     soak.emulator.device.frame_started(0)
     assert soak.grid.started == soak.grid.expected + 1
+
+
+def test_a_unit_that_hangs_does_not_track() -> None:
+    """Its mode stays what it was until the watchdog resets it: a stretch that begins then is not quiet."""
+    soaking = Soak("roja1", 0.1, 1, io.StringIO())
+    soaking.emulator.advance(3 * NS_PER_S)
+    assert soaking._tracks()
+    soaking.emulator.faults.inject({"kind": "processor.stuck", "watchdog_ms": 9000})
+    soaking.emulator.advance(4 * NS_PER_S)
+    assert soaking.emulator.device.mode == Mode.TRACKING
+    assert not soaking._tracks()
+    soaking.emulator.advance(16 * NS_PER_S)
+    assert soaking._tracks()
 
 
 def test_the_unit_end_of_a_stretch_is_between_frames(journal: tuple[Path, Outcome]) -> None:

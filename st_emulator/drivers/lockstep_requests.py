@@ -26,7 +26,7 @@ class Requests:
     Args:
         lockstep: the unit.
         steps: whether the client owns the time; else it is paced by the computer's clock, and only faults,
-            truth and counters are served.
+            power, truth and counters are served.
         until_ns: the end of the run.
     """
 

@@ -161,8 +161,8 @@ class CanTransport:
         events: list[TransportEvent] = [CanFrameSeen(head.frame, True, now_ns)]
         if head.deadline_ns is None and self._connection is not None:
             # Where the computer held us up in between, the frame was on the bus all the same.
-            left_ns = min(self._offered_ns, now_ns)
-            self._translate(self._connection.confirmed(head.frame, now_ns, left_ns=left_ns), events)
+            left = self._connection.confirmed(head.frame, now_ns, left_ns=self._offered_ns)
+            self._translate(left, events)
         return events
 
     def withdraw(self, packet: bytes) -> str:

@@ -170,9 +170,7 @@ class _Asked:
         return str(self._ask("state")["mode"])
 
     def truth(self, frame_index: int | None) -> dict[str, Any]:
-        if frame_index is not None:
-            return dict(self._ask("truth", frame=frame_index)["frame"])
-        return dict(self._ask("truth", frame="now")["frame"])
+        return dict(self._ask("truth", frame="now" if frame_index is None else frame_index)["frame"])
 
     def inject(self, fault: Mapping[str, Any]) -> int:
         return int(self._ask("inject", fault=dict(fault))["number"])
