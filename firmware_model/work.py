@@ -95,7 +95,12 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("energy_tables", "centroid", "table of clusters whose own sums are taken for centroids, M (1)-(2)"),
     ("energies", "centroid", "such a cluster measured: two quotients, the logarithm of its magnitude"),
     ("compensations", "centroid", "compensation of a rolling shutter begun: its code is in no cache"),
-    ("spots_compensated", "centroid", "spot brought to the frame's time by its own velocity"),
+    (
+        "spots_compensated",
+        "centroid",
+        "spot whose own velocity is compared with the least that is compensated",
+    ),
+    ("spots_moved", "centroid", "spot brought to the frame's time by its own velocity"),
     ("spots_turned", "centroid", "spot brought to the frame's time by the rate of all stars"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),
     ("flow_clusters", "centroid", "cluster of a whole image looked at whether it is a star to follow"),

@@ -223,10 +223,11 @@ int32_t st_too_fast(const double *rate_rad_s, const double *covariance, double l
     return rate > limit_rad_s + 3.0 * sqrt(variance);
 }
 
-void st_compensate(const double *x_before, const double *y_before, const int32_t *pair_before,
-                   const int32_t *pair_now, int32_t pairs, const int32_t *extent, const st_row_timing *timing,
-                   int32_t by_streak, double least_speed_px_s, double *x, double *y)
+int32_t st_compensate(const double *x_before, const double *y_before, const int32_t *pair_before,
+                      const int32_t *pair_now, int32_t pairs, const int32_t *extent, const st_row_timing *timing,
+                      int32_t by_streak, double least_speed_px_s, double *x, double *y)
 {
+    int32_t moved = 0;
     for (int32_t pair = 0; pair < pairs; pair++) {
         int32_t i = pair_before[pair];
         int32_t j = pair_now[pair];
@@ -251,7 +252,9 @@ void st_compensate(const double *x_before, const double *y_before, const int32_t
         double until_s = timing->row_time_s * (timing->middle_row - y[j]);
         x[j] += speed_x * until_s;
         y[j] += speed_y * until_s;
+        moved++;
     }
+    return moved;
 }
 
 int32_t st_pair_windows(const int32_t *star_window, int32_t stars, const int32_t *spot_window, int32_t spots,

@@ -52,9 +52,9 @@ void st_turn_stars(const double *vectors, const double *y_px, int32_t count, con
 int32_t st_too_fast(const double *rate_rad_s, const double *covariance, double limit_rad_s);
 
 /* Places x[], y[] of the paired spots brought to the frame's time by their own velocities. */
-void st_compensate(const double *x_before, const double *y_before, const int32_t *pair_before,
-                   const int32_t *pair_now, int32_t pairs, const int32_t *extent, const st_row_timing *timing,
-                   int32_t by_streak, double least_speed_px_s, double *x, double *y);
+int32_t st_compensate(const double *x_before, const double *y_before, const int32_t *pair_before,
+                      const int32_t *pair_now, int32_t pairs, const int32_t *extent, const st_row_timing *timing,
+                      int32_t by_streak, double least_speed_px_s, double *x, double *y);
 
 /* Pairs of predicted stars and the one spot of their windows. star_window[stars]; spot_window[spots], by
  * window, brightest first; first_spot[windows] and stars_of[windows]: room. Returns how many. */

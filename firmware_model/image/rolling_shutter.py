@@ -74,7 +74,7 @@ def compensate(
     x_px, y_px = now.spots.x_px.copy(), now.spots.y_px.copy()
     if method == "none" or timing.row_time_s == 0.0 or not len(fusion):
         return (x_px, y_px), Work()
-    _compensate(
+    moved = _compensate(
         before.spots.x_px,
         before.spots.y_px,
         fusion.before,
@@ -89,7 +89,9 @@ def compensate(
         x_px,
         y_px,
     )
-    return (x_px, y_px), Work({"compensations": 1, "spots_compensated": len(fusion)})
+    return (x_px, y_px), Work(
+        {"compensations": 1, "spots_compensated": len(fusion), "spots_moved": int(moved)}
+    )
 
 
 @numba.njit(nogil=True)
@@ -107,7 +109,8 @@ def _compensate(
     least_speed_px_s: float,
     x: FloatArray,
     y: FloatArray,
-) -> None:
+) -> int:
+    moved = 0
     for pair in range(len(pair_now)):
         i, j = pair_before[pair], pair_now[pair]
         across, down = x[j] - x_before[i], y[j] - y_before[i]
@@ -127,3 +130,5 @@ def _compensate(
         until_s = row_time_s * (middle_row - y[j])
         x[j] += speed_x * until_s
         y[j] += speed_y * until_s
+        moved += 1
+    return moved

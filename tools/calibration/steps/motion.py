@@ -281,6 +281,7 @@ class CompensateStep:
             float(arguments["least_speed_px_s"]),
             *(x, y),
         )
+        _require_equal(self.name, "spots moved", call.result, record.work.counts["spots_moved"])
         for address, places in zip((x, y), record.result, strict=True):
             found = machine.read(address, np.float64, len(places))
             _require_within(self.name, "places", found, places, PLACE_BOUND_PX)
