@@ -98,7 +98,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     (
         "spots_compensated",
         "centroid",
-        "spot whose own velocity is compared with the least that is compensated",
+        "spot whose own velocity is compared with the least compensated",
     ),
     ("spots_moved", "centroid", "spot brought to the frame's time by its own velocity"),
     ("spots_turned", "centroid", "spot brought to the frame's time by the rate of all stars"),
