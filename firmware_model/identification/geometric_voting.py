@@ -61,6 +61,7 @@ MOST_SPOTS = 128  # ASSUMED: the work grows with its square
 # of all identities.
 MOST_IDENTITIES = 32
 MOST_IDENTITIES_IN_ALL = 768
+_PAIRS_BETWEEN_LIMITS = 4096
 _VOTES_OF_A_LINE = 16  # of a cache, as halfwords
 
 _SOLVED, _UNCONFIRMED, _NO_MATCH, _AMBIGUOUS, _WORK_LIMIT = range(5)
@@ -137,18 +138,23 @@ def cast_votes_kernel(
             lowest[i, j] = lowest[j, i] = low
             highest[i, j] = highest[j, i] = high
             first, end, _ = range_kernel(cos_angle, slope, offset, count_below, low, high)
-            for place in range(first, end):
-                one = brighter[place]
-                other = dimmer[place]
-                votes[i, one] += 1
-                votes[i, other] += 1
-                votes[j, one] += 1
-                votes[j, other] += 1
             counts[ANGLES_COMPUTED] += 1
             counts[KVECTOR_QUERIES] += 1
-            counts[KVECTOR_HITS] += end - first
-            counts[VOTES] += 4 * (end - first)
-            counts[VOTES_CAST] += 4 * (end - first)
+            # A query of a wide tolerance has tens of thousands of pairs: the limit holds within it too.
+            for begin in range(first, end, _PAIRS_BETWEEN_LIMITS):
+                if begin > first and exhausted_kernel(counts, work_limit):
+                    return False
+                part = min(begin + _PAIRS_BETWEEN_LIMITS, end)
+                for place in range(begin, part):
+                    one = brighter[place]
+                    other = dimmer[place]
+                    votes[i, one] += 1
+                    votes[i, other] += 1
+                    votes[j, one] += 1
+                    votes[j, other] += 1
+                counts[KVECTOR_HITS] += part - begin
+                counts[VOTES] += 4 * (part - begin)
+                counts[VOTES_CAST] += 4 * (part - begin)
             # Two spots have half a word each for a star; spot i is another one each time, so that the first
             # vote of a line is cold.
             stars = votes.shape[1]
