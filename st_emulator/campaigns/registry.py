@@ -75,10 +75,18 @@ def campaigns() -> dict[str, Campaign]:
     return {
         "accuracy": Campaign("attitude error over seeded pointings", 100, accuracy.run),
         "aps": Campaign(
-            "tables 3 to 13 of Schiattarella, Spiller and Curti 2020", 200, aps.run, unit="aps_rs"
+            "tables 3 to 13 of Schiattarella, Spiller and Curti 2020",
+            200,
+            aps.run,
+            unit="aps_rs",
+            plots=True,
         ),
         "aps-best": Campaign(
-            "tables 3 to 9 of the same, without false objects", 200, aps.run_best, unit="aps_rs"
+            "tables 3 to 9 of the same, without false objects",
+            200,
+            aps.run_best,
+            unit="aps_rs",
+            plots=True,
         ),
         "catalogue-counts": Campaign(
             "stars by magnitude and pairs of the catalogue", 1, catalogue_counts.run, spread=False, plots=True

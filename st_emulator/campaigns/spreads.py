@@ -1,0 +1,81 @@
+"""Mean, standard deviation, skewness and kurtosis of errors that come in groups, with the intervals that
+follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .confidence import student_95
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Of errors: how many, and the sums of their first four powers, float64[4]."""
+
+    count: int
+    sums: Array
+
+    @classmethod
+    def of(cls, errors: Array) -> Moments:
+        """Of errors float64[n]."""
+        return cls(len(errors), np.array([float((errors**power).sum()) for power in (1, 2, 3, 4)]))
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean, standard deviation, skewness and kurtosis of ``count`` errors.
+
+    mean_half, std_half: half of the 95 % intervals of mean and standard deviation.
+    """
+
+    count: int
+    mean: float
+    std: float
+    skewness: float
+    kurtosis: float
+    mean_half: float
+    std_half: float
+
+    @classmethod
+    def of(cls, moments: Iterable[tuple[int, Moments]]) -> Spread | None:
+        """Of all errors of (group, moments) together; None of fewer than two errors.
+
+        The errors of one group may have something in common: the intervals follow from how the groups differ
+        (linearised, Student's factor for few groups), and are infinite with one group.
+        """
+        sums: dict[int, Array] = {}
+        for group, item in moments:
+            if item.count:
+                entry = sums.setdefault(group, np.zeros(5))
+                entry += np.concatenate([[item.count], item.sums])
+        table = np.array(list(sums.values())).reshape(-1, 5)
+        count = int(table[:, 0].sum())
+        if count < 2:
+            return None
+        first, second, third, fourth = (float(value) for value in table[:, 1:].sum(axis=0) / count)
+        variance = max(second - first * first, 0.0)
+        std = math.sqrt(variance)
+        if std == 0.0:
+            return cls(count, first, 0.0, 0.0, 0.0, 0.0, 0.0)
+        central_3 = third - 3 * first * second + 2 * first**3
+        central_4 = fourth - 4 * first * third + 6 * first * first * second - 3 * first**4
+        groups = len(table)
+        factor = student_95(groups - 1) * math.sqrt(groups / (groups - 1)) if groups > 1 else math.inf
+        off = table[:, 1] - first * table[:, 0]
+        squares = table[:, 2] - 2 * first * table[:, 1] + (first * first - variance) * table[:, 0]
+        return cls(
+            count,
+            first,
+            std,
+            central_3 / std**3,
+            central_4 / variance**2,
+            factor * math.sqrt(float(off @ off)) / count if groups > 1 else math.inf,
+            factor * math.sqrt(float(squares @ squares)) / (2 * std * count) if groups > 1 else math.inf,
+        )
