@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -132,13 +133,26 @@ class Bench:
         So the noise is that of a whole frame, pixel by pixel, and only where light falls is it made anew;
         what repeats is the noise far from all stars, every BACKGROUNDS images. Valid until the next call.
         """
-        self._canvas[...] = self._backgrounds[frame.frame_index % BACKGROUNDS]
         box = frame.light.box
         flat, offsets = frame.windows(box)
-        for number, (x0, y0, x1, y1) in enumerate(box):
-            lit = flat[offsets[number] : offsets[number + 1]]
-            self._canvas[y0:y1, x0:x1] = lit.reshape(y1 - y0, x1 - x0)
+        self._canvas[...] = self._backgrounds[frame.frame_index % BACKGROUNDS]
+        _put_windows(self._canvas, box, flat, offsets)
         return self._canvas
+
+
+@numba.njit(nogil=True)
+def _put_windows(
+    image: NDArray[np.uint16],
+    rects: NDArray[np.int32],
+    flat: NDArray[np.uint16],
+    offsets: NDArray[np.int64],
+) -> None:
+    for number in range(len(rects)):
+        place = offsets[number]
+        for y in range(rects[number, 1], rects[number, 3]):
+            for x in range(rects[number, 0], rects[number, 2]):
+                image[y, x] = flat[place]
+                place += 1
 
 
 def _without_stars(field: StarField) -> StarField:

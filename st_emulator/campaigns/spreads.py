@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .confidence import student_95
+from .confidence import Z_95, student_95
 
 Array = NDArray[np.float64]
+
+LEAST_GROUPS = 5  # fewer say nothing of how much groups differ
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,8 @@ class Spread:
         """Of all errors of (group, moments) together; None of fewer than two errors.
 
         The errors of one group may have something in common: the intervals follow from how the groups differ
-        (linearised, Student's factor for few groups), and are infinite with one group.
+        (linearised, Student's factor for few groups), are no narrower than those of errors that have nothing
+        in common, and infinite with fewer than LEAST_GROUPS groups.
         """
         sums: dict[int, Array] = {}
         for group, item in moments:
@@ -67,15 +70,13 @@ class Spread:
         central_3 = third - 3 * first * second + 2 * first**3
         central_4 = fourth - 4 * first * third + 6 * first * first * second - 3 * first**4
         groups = len(table)
-        factor = student_95(groups - 1) * math.sqrt(groups / (groups - 1)) if groups > 1 else math.inf
-        off = table[:, 1] - first * table[:, 0]
-        squares = table[:, 2] - 2 * first * table[:, 1] + (first * first - variance) * table[:, 0]
-        return cls(
-            count,
-            first,
-            std,
-            central_3 / std**3,
-            central_4 / variance**2,
-            factor * math.sqrt(float(off @ off)) / count if groups > 1 else math.inf,
-            factor * math.sqrt(float(squares @ squares)) / (2 * std * count) if groups > 1 else math.inf,
-        )
+        mean_half = std_half = math.inf
+        if groups >= LEAST_GROUPS:
+            factor = student_95(groups - 1) * math.sqrt(groups / (groups - 1)) / count
+            off = table[:, 1] - first * table[:, 0]
+            squares = table[:, 2] - 2 * first * table[:, 1] + (first * first - variance) * table[:, 0]
+            mean_half = max(factor * math.sqrt(float(off @ off)), Z_95 * std / math.sqrt(count))
+            std_half = max(
+                factor * math.sqrt(float(squares @ squares)) / (2 * std), Z_95 * std / math.sqrt(2 * count)
+            )
+        return cls(count, first, std, central_3 / std**3, central_4 / variance**2, mean_half, std_half)
