@@ -28,8 +28,10 @@ from .campaign import CampaignRequest, CampaignResult
 from .confidence import Share, clustered_share, wilson
 from .spreads import Moments, Spread
 
+BATCH = 8  # cases
 AXES = ("roll", "pitch", "yaw")
 SHUTTERS = ("rolling", "global")
+DIRECTION_NUMBERS = tuple(range(len(DIRECTIONS)))
 
 DIFFERENCES = ()
 
@@ -40,7 +42,7 @@ def cases_of(attitudes: int, worst: tuple[bool, ...]) -> list[Case]:
     for shutter in SHUTTERS:
         for one in worst:
             for rate in RATES_DEG_S:
-                directions = range(len(DIRECTIONS)) if rate else range(1)
+                directions = DIRECTION_NUMBERS if rate else DIRECTION_NUMBERS[:1]
                 cases += [
                     Case(shutter, one, rate, attitude, direction)
                     for attitude in range(attitudes)
@@ -49,25 +51,11 @@ def cases_of(attitudes: int, worst: tuple[bool, ...]) -> list[Case]:
     return cases
 
 
-def _run(profile_json: str, seed: int, attitudes: int, worst: tuple[bool, ...], index: int) -> Run:
-    return run_case(profile_json, seed, attitudes, _cases(attitudes, worst)[index])
-
-
-_KEPT: dict[tuple[int, tuple[bool, ...]], list[Case]] = {}
-
-
-def _cases(attitudes: int, worst: tuple[bool, ...]) -> list[Case]:
-    key = (attitudes, worst)
-    if key not in _KEPT:
-        _KEPT[key] = cases_of(attitudes, worst)
-    return _KEPT[key]
-
-
 def run(request: CampaignRequest, worst: tuple[bool, ...] = (False, True)) -> CampaignResult:
     """``n`` attitudes (M: 200), 26 directions at 1 to 5 deg/s, both shutters."""
-    cases = _cases(request.n, worst)
+    cases = cases_of(request.n, worst)
     runs = request.workers.map(
-        partial(_run, request.profile.model_dump_json(), request.seed, request.n, worst), range(len(cases))
+        partial(run_case, request.profile.model_dump_json(), request.seed, request.n), cases, batch=BATCH
     )
     by_key: dict[tuple[str, bool, int], list[tuple[Case, Run]]] = {}
     for case, outcome in zip(cases, runs, strict=True):

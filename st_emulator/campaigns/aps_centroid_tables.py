@@ -118,11 +118,10 @@ def _speeds(by_key: RUNS_OF, profile: UnitProfile, figures: dict[str, Any]) -> T
     """What the spread without compensation is made of: stars of turns about the boresight alone, and all
     others."""
     rows, kept = [], []
-    focal_px = profile.optics.focal_length_mm / (1e-3 * profile.detector.pixel_um)
     for place, rate in enumerate(RATES_DEG_S[1:]):
         paper = math.hypot(*(CENTROIDS[_PLAIN][axis][place][1] for axis in (0, 1))) / math.sqrt(2.0)
         # of a star that moves along one axis at the full rate, its rows as likely as each other
-        full = math.radians(rate) * focal_px * profile.timing.exposure_ms * 1e-3 / math.sqrt(12.0)
+        full = math.radians(rate) * profile.focal_px * profile.timing.exposure_ms * 1e-3 / math.sqrt(12.0)
         for words, pick in _COUNTED.items():
             parts = []
             for rolls in (True, False):
