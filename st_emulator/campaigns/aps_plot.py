@@ -76,15 +76,17 @@ def _draw_success(kept: dict[str, Any], axes: Any, colours: Any, source: str) ->
                 label=None if named else "M (dashed: worst case)",
             )
             named = True
+            aside = 0.07 * (order - 1) + (0.03 if worst else 0.0)  # so that the bars do not hide each other
             axes.errorbar(
-                RATES_DEG_S,
+                [rate + aside for rate in RATES_DEG_S],
                 shares,
                 yerr=[below, above],
                 color=colours[order],
                 marker=_MARKS[worst],
                 markersize=5,
                 capsize=3,
-                linestyle=":" if worst else "",
+                linestyle="",
+                fillstyle="none" if worst else "full",
                 label=f"{images} images, {'worst' if worst else 'best'} case",
             )
     axes.set_xlabel("deg/s")
