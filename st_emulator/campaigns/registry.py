@@ -90,7 +90,7 @@ def campaigns() -> dict[str, Campaign]:
             plots=True,
         ),
         "aps-figure12": Campaign(
-            "figure 12 of the same: detectable magnitude over the rate, images a cell",
+            "figure 12 of Schiattarella et al. 2020: magnitudes over the rate",
             20,
             aps_figure12.run,
             unit="aps_rs",
