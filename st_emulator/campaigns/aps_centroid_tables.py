@@ -97,9 +97,9 @@ def _not_compensated(
                 "papers_way_recognised": _plain(theirs[0]),
                 "papers_way": _plain(theirs[1]),
             }
-            for who, found in (("", named), (" by M's way", theirs[0])):
+            for who, found in (("recognised", named), ("all fused", every)):
                 off = None if found is None else _least_off(found, paper[1])
-                checks.append(check(f"{key}{who}: off M's by", off, "<=", ALLOWED_OF_PLAIN, ""))
+                checks.append(check(f"{key}, {who}: near end off M's", off, "<=", ALLOWED_OF_PLAIN, ""))
             rows.append(
                 (
                     label,
@@ -221,5 +221,6 @@ def _off_of(found: Spread | None, paper: float) -> tuple[str, ...]:
 
 
 def _least_off(found: Spread, paper: float) -> float:
-    """How far the nearest end of the interval is off, relatively: few attitudes say little."""
+    """How far the nearest end of the interval is off, relatively: few attitudes say little, and M's own
+    figures are of 200."""
     return max(abs(found.std - paper) - found.std_half, 0.0) / paper
