@@ -40,13 +40,19 @@ def images(shutter: str) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     return made
 
 
+def moments(counts: np.ndarray) -> tuple[float, float, float, int]:
+    """Mean, variance and fourth central moment of numbers put out so many times each; how many there are."""
+    values, number = np.arange(len(counts)), int(counts.sum())
+    off = values - counts @ values / number
+    return values.mean() - off.mean(), counts @ off**2 / number, counts @ off**4 / number, number
+
+
 def alike(ours: np.ndarray, theirs: np.ndarray) -> None:
-    """Samples with the same mean and variance, within what their size allows."""
-    error = np.sqrt(ours.var() / ours.size + theirs.var() / theirs.size)
-    assert abs(ours.mean() - theirs.mean()) < SIGMAS * error
-    fourth = [np.mean((item - item.mean()) ** 4) - item.var() ** 2 for item in (ours, theirs)]
-    error = np.sqrt(fourth[0] / ours.size + fourth[1] / theirs.size)
-    assert abs(ours.var() - theirs.var()) < SIGMAS * error
+    """Counts of numbers put out with the same mean and variance, within what their size allows."""
+    (mean_1, variance_1, fourth_1, n_1), (mean_2, variance_2, fourth_2, n_2) = map(moments, (ours, theirs))
+    assert abs(mean_1 - mean_2) < SIGMAS * np.sqrt(variance_1 / n_1 + variance_2 / n_2)
+    error = np.sqrt((fourth_1 - variance_1**2) / n_1 + (fourth_2 - variance_2**2) / n_2)
+    assert abs(variance_1 - variance_2) < SIGMAS * error
 
 
 @pytest.mark.parametrize("shutter", ["rolling", "global"])
@@ -59,12 +65,28 @@ def test_light_is_the_full_frames_to_the_bit(shutter):
 
 @pytest.mark.parametrize("shutter", ["rolling", "global"])
 def test_noise_away_from_light(shutter):
-    ours = np.concatenate([image[~lit].astype(float) for image, _, lit in images(shutter)])
-    theirs = np.concatenate([full[~lit].astype(float) for _, full, lit in images(shutter)])
-    alike(ours, theirs)
-    # of a single frame as well, whichever of the kept ones is beneath
-    for image, full, lit in images(shutter):
-        alike(image[~lit].astype(float), full[~lit].astype(float))
+    """Of every single frame, whichever of the kept ones is beneath, and of all."""
+    ours, theirs = (
+        np.array([np.bincount(item[place][~item[2]], minlength=4096) for item in images(shutter)])
+        for place in (0, 1)
+    )
+    for one, other in zip(ours, theirs, strict=True):
+        alike(one, other)
+    alike(ours.sum(axis=0), theirs.sum(axis=0))
+
+
+def test_unlike_noise_is_noticed():
+    """2 % more noise, or a fifth of a number more of offset, in one frame of a million pixels."""
+    rng = np.random.default_rng(1)
+    noise = 308.0 + 3.7 * rng.normal(size=1_000_000)
+    plain, more, higher = (
+        np.bincount(np.rint(item).astype(int), minlength=4096)
+        for item in (noise, 308.0 + 1.02 * (noise - 308.0), noise + 0.2)
+    )
+    alike(plain, np.bincount(np.rint(308.0 + 3.7 * rng.normal(size=1_000_000)).astype(int), minlength=4096))
+    for other in (more, higher):
+        with pytest.raises(AssertionError):
+            alike(plain, other)
 
 
 @pytest.mark.parametrize("shutter", ["rolling", "global"])
