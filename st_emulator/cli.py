@@ -302,7 +302,7 @@ def campaign(
         typer.Argument(
             help="`accuracy`, `lost-in-space`, `tracking-rate`, `earth-rate`, `centroids`, `detection`, "
             "`star-quadruples`, or beside a paper's table: `zy3-table3`, `zy3-centroids`, "
-            "`catalogue-counts`, `false-stars`.",
+            "`catalogue-counts`, `false-stars`, `aps`, `aps-best`, `aps-figure12`.",
         ),
     ],
     unit: Annotated[

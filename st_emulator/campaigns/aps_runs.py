@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,11 +27,12 @@ from ..device.calibration import firmware_configuration
 from ..device.parameters import default_parameters
 from ..firmware_model.configuration import FirmwareConfiguration, StarTables
 from ..firmware_model.frame_log import FrameLog
-from ..firmware_model.frame_search import velocity_over_c
+from ..firmware_model.frame_result import FrameContext
+from ..firmware_model.frame_search import SearchOutcome, velocity_over_c
 from ..firmware_model.full_frame_search import identify_spots, star_motion_of
 from ..firmware_model.image.detection import detect_clusters
 from ..firmware_model.image.spots import Spots
-from ..firmware_model.image.streaks import streak_table
+from ..firmware_model.image.streaks import StreakTable, streak_table
 from ..firmware_model.modes import Mode
 from ..firmware_model.reasons import Reason
 from ..firmware_model.star_motion import KeptFrame, StarMotion
@@ -41,6 +43,7 @@ from ..world.scene import RenderedFrame, SceneRenderer
 from ..world.stars import StarField, star_field
 from ..world.time_scales import julian_year
 from ..world.trajectory import ConstantRateTrajectory
+from .aps_centroids import CentroidErrors, PaperWay, centroid_errors, paper_configuration
 from .bench import error_arcsec, start_tai_ns, with_section
 
 Array = NDArray[np.float64]
@@ -52,7 +55,6 @@ FALSE_OBJECTS = 50  # M section 6.5
 FALSE_MAGNITUDES = (2.0, 5.5)  # ASSUMED: M prints none; of the stars that the catalogue holds
 FASTEST_TRACKED_DEG_S = 10.0  # so that no attitude is refused for its rate: M judges the attitude alone
 DIRECTIONS = np.array([v for v in itertools.product((-1, 0, 1), repeat=3) if any(v)], dtype=float)
-MATCH_PX = 3.0  # a centroid further from where its star truly is than this is another's
 BACKGROUNDS = 24
 ROLLING_READOUT_MS = 200.0  # M (4)
 GLOBAL_READOUT_MS = 40.0
@@ -70,32 +72,18 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Moments:
-    """Of errors: how many, and the sums of their first four powers, float64[4]."""
-
-    count: int
-    sums: Array
-
-    @classmethod
-    def of(cls, errors: Array) -> Moments:
-        """Of errors float64[n]."""
-        return cls(len(errors), np.array([float((errors**power).sum()) for power in (1, 2, 3, 4)]))
-
-
-@dataclass(frozen=True)
 class Run:
     """images: until an attitude was found, 0: none in MOST_IMAGES. error_arcsec: roll, pitch, yaw; nan
-    without. wrong: an attitude that is none. centroids: horizontal and vertical errors of the second image's
-    fused stars as they are, and compensated.
+    without. wrong: an attitude that is none. unit, paper: centroid errors of the second image by the unit's
+    way and by M's own, of the best case at a rate. paper_solved: M's own way has an attitude of that image.
     """
 
     images: int
     error_arcsec: Array
     wrong: bool
-    plain_x: Moments
-    plain_y: Moments
-    compensated_x: Moments
-    compensated_y: Moments
+    unit: CentroidErrors
+    paper: CentroidErrors
+    paper_solved: bool
 
 
 def attitude_of(number: int, count: int) -> Array:
@@ -129,6 +117,7 @@ class Bench:
         configuration = firmware_configuration(profile, default_parameters(profile))
         # The unit's limit of work is of its processor and not of M's algorithm.
         self.configuration: FirmwareConfiguration = replace(configuration, cycle_budget=None)
+        self.paper = PaperWay(paper_configuration(self.configuration), self.tables)
         still = ConstantRateTrajectory(np.array([0.0, 0.0, 0.0, 1.0]))
         camera, start = camera_model(profile), start_tai_ns()
         self.scene = SceneRenderer(camera, _sky(), still, seed=seed, start_tai_ns=start, quick_light=True)
@@ -144,13 +133,26 @@ class Bench:
         So the noise is that of a whole frame, pixel by pixel, and only where light falls is it made anew;
         what repeats is the noise far from all stars, every BACKGROUNDS images. Valid until the next call.
         """
-        self._canvas[...] = self._backgrounds[frame.frame_index % BACKGROUNDS]
         box = frame.light.box
         flat, offsets = frame.windows(box)
-        for number, (x0, y0, x1, y1) in enumerate(box):
-            lit = flat[offsets[number] : offsets[number + 1]]
-            self._canvas[y0:y1, x0:x1] = lit.reshape(y1 - y0, x1 - x0)
+        self._canvas[...] = self._backgrounds[frame.frame_index % BACKGROUNDS]
+        _put_windows(self._canvas, box, flat, offsets)
         return self._canvas
+
+
+@numba.njit(nogil=True)
+def _put_windows(
+    image: NDArray[np.uint16],
+    rects: NDArray[np.int32],
+    flat: NDArray[np.uint16],
+    offsets: NDArray[np.int64],
+) -> None:
+    for number in range(len(rects)):
+        place = offsets[number]
+        for y in range(rects[number, 1], rects[number, 3]):
+            for x in range(rects[number, 0], rects[number, 2]):
+                image[y, x] = flat[place]
+                place += 1
 
 
 def _without_stars(field: StarField) -> StarField:
@@ -174,42 +176,48 @@ def run_case(profile_json: str, seed: int, attitudes: int, case: Case) -> Run:
     )
     chance = np.random.default_rng([seed, case.attitude, case.direction, case.rate_deg_s, int(case.worst)])
     first = int(chance.integers(0, 2**31))  # of the noise
+    measured = bool(case.rate_deg_s) and not case.worst
     previous: KeptFrame | None = None
-    places = (np.zeros((0, 2)), np.zeros((0, 2)))
+    clusters: StreakTable | None = None
+    errors = (CentroidErrors.none(), CentroidErrors.none(), False)
     found = (0, np.full(3, np.nan), False)
     for number in range(MOST_IMAGES):
         frame = bench.scene.frame(first + number, number * bench.profile.frame_period_ns)
-        outcome = _process(bench, frame, number, previous, chance if case.worst else None)
+        image = bench.image(frame)
+        outcome = _process(bench, frame, image, number, previous, chance if case.worst else None)
         previous = outcome.kept
-        if number == 1:
-            places = _centroid_errors(bench, frame, outcome.plain, outcome.motion)
+        if measured and number < 2:
+            before, clusters = clusters, bench.paper.clusters(image)
+            if before is not None:
+                errors = _errors(bench, frame, outcome, before, clusters)
         if outcome.q is not None:
             true = bench.scene.trajectory.q_icrs_to_sensor(frame.exposure_mid_ns)
             x, y, z = error_arcsec(outcome.q, true)
             wrong = max(abs(x), abs(y)) > SUCCESS_ARCSEC
             found = (number + 1, np.array([z, x, y]), wrong)
             break
-    plain, compensated = places
-    return Run(
-        *found,
-        Moments.of(plain[:, 0]),
-        Moments.of(plain[:, 1]),
-        Moments.of(compensated[:, 0]),
-        Moments.of(compensated[:, 1]),
-    )
+    return Run(*found, *errors)
 
 
 @dataclass(frozen=True)
 class _Outcome:
+    context: FrameContext
     kept: KeptFrame
     plain: Spots
     motion: StarMotion
-    q: Array | None
+    search: SearchOutcome | None
+
+    @property
+    def q(self) -> Array | None:
+        if self.search is None or self.search.attitude is None or self.search.reasons != Reason.NONE:
+            return None
+        return self.search.attitude.q_icrs_to_sensor
 
 
 def _process(
     bench: Bench,
     frame: RenderedFrame,
+    image: NDArray[np.uint16],
     number: int,
     previous: KeptFrame | None,
     chance: np.random.Generator | None,
@@ -219,21 +227,31 @@ def _process(
     assert configuration.rate is not None
     context = synchronised_context(frame, number, Mode.LOST_IN_SPACE, bench.scene.start_tai_ns)
     log = FrameLog(Work(), None)
-    detected, _ = detect_clusters(bench.image(frame), configuration.detection)
+    detected, _ = detect_clusters(image, configuration.detection)
     now = log.run("keep_runs", streak_table, detected=detected)
     motion = star_motion_of(now, context, previous, configuration, configuration.rate, log)
     kept = KeptFrame(number, context.t_mid_ns, now)
     if motion.fused is None:  # M: at least two images
-        return _Outcome(kept, now.spots, motion, None)
+        return _Outcome(context, kept, now.spots, motion, None)
     spots, place = motion.spots, motion.fused
     if chance is not None:
         spots = with_false_objects(motion.spots.take(motion.fused), chance, bench)
         place = np.arange(len(spots), dtype=np.int32)
     velocity = velocity_over_c(context, configuration, log)
     outcome = identify_spots(spots, place, configuration, bench.tables, velocity, log)
-    solved = outcome.attitude is not None and outcome.reasons == Reason.NONE
-    q = outcome.attitude.q_icrs_to_sensor if solved and outcome.attitude is not None else None
-    return _Outcome(kept, now.spots, motion, q)
+    return _Outcome(context, kept, now.spots, motion, outcome)
+
+
+def _errors(
+    bench: Bench, frame: RenderedFrame, outcome: _Outcome, before: StreakTable, now: StreakTable
+) -> tuple[CentroidErrors, CentroidErrors, bool]:
+    """Of the unit's way, and of M's on the clusters ``before`` and ``now``; whether M's has an attitude."""
+    truth = bench.scene.truth(frame)
+    unit, motion = CentroidErrors.none(), outcome.motion
+    if motion.fused is not None and outcome.search is not None:
+        unit = centroid_errors(truth, outcome.plain, motion.spots, motion.fused, outcome.search)
+    period_s = bench.profile.frame_period_ns * 1e-9
+    return unit, *bench.paper.errors(before, now, outcome.context, period_s, truth)
 
 
 def with_false_objects(spots: Spots, chance: np.random.Generator, bench: Bench) -> Spots:
@@ -264,23 +282,3 @@ def with_false_objects(spots: Spots, chance: np.random.Generator, bench: Bench) 
         background_dn=spots.background_dn,
         noise_dn=spots.noise_dn,
     )
-
-
-def _centroid_errors(
-    bench: Bench, frame: RenderedFrame, plain: Spots, motion: StarMotion
-) -> tuple[Array, Array]:
-    """Errors (x, y), px, of the fused spots as they are and compensated, against where their stars are at the
-    frame's mid-exposure (M (46))."""
-    if motion.fused is None or not len(motion.fused):
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    true = np.array([[star.x_mid_px, star.y_mid_px] for star in bench.scene.truth(frame).stars])
-    if not len(true):
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    moved, still = (
-        np.stack([spots.x_px[motion.fused], spots.y_px[motion.fused]], axis=1)
-        for spots in (motion.spots, plain)
-    )
-    distance = np.linalg.norm(moved[:, np.newaxis] - true[np.newaxis], axis=2)
-    nearest = distance.argmin(axis=1)
-    own = distance.min(axis=1) <= MATCH_PX
-    return still[own] - true[nearest[own]], moved[own] - true[nearest[own]]

@@ -63,3 +63,43 @@ def stratified_share(counts: Sequence[int], cases: Sequence[int], weights: Seque
         variance += weight * weight * p * (1.0 - p) / number
     effective = smoothed * (1.0 - smoothed) / variance
     return Share(value, *wilson(value * effective, effective), sum(cases))
+
+
+_STUDENT_95 = (12.706204736, 4.302652730, 3.182446305, 2.776445105)
+
+
+def student_95(freedom: int) -> float:
+    """Two-sided 95 % of Student's distribution, within 3e-4; inf without a degree of freedom.
+
+    From 5 degrees on its expansion about the normal distribution (Abramowitz & Stegun 26.7.5).
+    """
+    if freedom < 1:
+        return math.inf
+    if freedom <= len(_STUDENT_95):
+        return _STUDENT_95[freedom - 1]
+    x = Z_95
+    terms = (
+        (x**3 + x) / 4,
+        (5 * x**5 + 16 * x**3 + 3 * x) / 96,
+        (3 * x**7 + 19 * x**5 + 17 * x**3 - 15 * x) / 384,
+        (79 * x**9 + 776 * x**7 + 1482 * x**5 - 1920 * x**3 - 945 * x) / 92160,
+    )
+    return x + float(sum(term / freedom ** (power + 1) for power, term in enumerate(terms)))
+
+
+def clustered_share(counts: Sequence[int], cases: Sequence[int]) -> Share:
+    """Share of cases that come in groups which have something in common: ``counts[g]`` of ``cases[g]``.
+
+    The interval is Wilson's at the effective number of cases: that of a plain sample with the variance of the
+    groups' (ratio estimator, Student's factor for few groups), never more than there are cases; where all
+    groups agree, as many as there are groups. ValueError: no cases.
+    """
+    count, total, groups = sum(counts), sum(cases), len(cases)
+    whole = share(count, total)
+    p = whole.value
+    residual = sum((c - p * n) ** 2 for c, n in zip(counts, cases, strict=True))
+    if groups < 2 or residual == 0.0:
+        return Share(p, *wilson(p * groups, groups), total)
+    variance = residual / (total * total) * groups / (groups - 1) * (student_95(groups - 1) / Z_95) ** 2
+    effective = min(p * (1.0 - p) / variance, float(total))
+    return Share(p, *wilson(p * effective, effective), total)

@@ -60,6 +60,7 @@ def campaigns() -> dict[str, Campaign]:
     from . import (
         accuracy,
         aps,
+        aps_figure12,
         catalogue_counts,
         earth_rate,
         false_stars,
@@ -75,10 +76,25 @@ def campaigns() -> dict[str, Campaign]:
     return {
         "accuracy": Campaign("attitude error over seeded pointings", 100, accuracy.run),
         "aps": Campaign(
-            "tables 3 to 13 of Schiattarella, Spiller and Curti 2020", 200, aps.run, unit="aps_rs"
+            "tables 3 to 13 of Schiattarella, Spiller and Curti 2020",
+            200,
+            aps.run,
+            unit="aps_rs",
+            plots=True,
         ),
         "aps-best": Campaign(
-            "tables 3 to 9 of the same, without false objects", 200, aps.run_best, unit="aps_rs"
+            "tables 3 to 9 of the same, without false objects",
+            200,
+            aps.run_best,
+            unit="aps_rs",
+            plots=True,
+        ),
+        "aps-figure12": Campaign(
+            "figure 12 of Schiattarella et al. 2020: magnitudes over the rate",
+            20,
+            aps_figure12.run,
+            unit="aps_rs",
+            plots=True,
         ),
         "catalogue-counts": Campaign(
             "stars by magnitude and pairs of the catalogue", 1, catalogue_counts.run, spread=False, plots=True
@@ -114,6 +130,7 @@ CAMPAIGNS = (
     "accuracy",
     "aps",
     "aps-best",
+    "aps-figure12",
     "catalogue-counts",
     "centroids",
     "detection",
