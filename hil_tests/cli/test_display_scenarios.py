@@ -68,7 +68,7 @@ def test_what_makes_no_display_is_named(
 ) -> None:
     path = tmp_path / "scenario.toml"
     path.write_text(f"[sky]\n{text}\n")
-    refused("run", "iris", "--scenario", path, "--speed", "max", "--duration", "1", says=(str(path), *named))
+    refused("run", "iris", "--scenario", path, "--speed", "max", says=(str(path), *named))
 
 
 def test_the_schema_of_scenarios_knows_both() -> None:
