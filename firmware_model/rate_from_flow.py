@@ -260,6 +260,7 @@ class FlowSettings:
     predicted: bool = True
     least_error_px: float = 0.1
     most_sigma_px: float = 2.0
+    min_stars: int = LEAST_STARS
 
 
 REWEIGHTINGS = 3
@@ -292,7 +293,7 @@ def rate_by_flow(
     """The flow from one frame to the next and the rate that it shows (F sections 2.1 and 2.2).
 
     interval_s: from mid-exposure to mid-exposure. last: the rate of the frame before, if it is known. The
-    steps are put into ``log``.
+    steps are put into ``log``. No rate: fewer than ``settings.min_stars`` belong together.
     """
     foreseen = None
     if settings.predicted and last is not None:
@@ -307,12 +308,11 @@ def rate_by_flow(
     second, steps_after = geometry.counted_unit_vectors(flow.x_px, flow.y_px)
     log.count(Work({"unit_vectors": 2 * len(flow), "newton_steps": steps_before + steps_after}))
     directions = {"before": first, "after": second, "interval_s": interval_s}
+    rate: FlowRate | None = None
     if not settings.weighted:
         alike = np.full(len(flow), math.sqrt(2.0) * settings.least_error_px / geometry.focal_px)
-        return flow, log.run(
-            "flow_rate", rate_from_directions, **directions, along_rad=alike, across_rad=alike
-        )
-    rate: FlowRate | None = None
+        rate = log.run("flow_rate", rate_from_directions, **directions, along_rad=alike, across_rad=alike)
+        return flow, _of_enough(rate, settings.min_stars)
     shift_x, shift_y = flow.x_px - flow.x_before_px, flow.y_px - flow.y_before_px
     streak = np.sqrt(shift_x * shift_x + shift_y * shift_y) * (exposure_s / interval_s)
     for _ in range(REWEIGHTINGS):
@@ -330,4 +330,8 @@ def rate_by_flow(
             break
         moved = np.cross(first, rate.rate_rad_s)
         streak = np.sqrt((moved * moved).sum(axis=1)) * (exposure_s * geometry.focal_px)
-    return flow, rate
+    return flow, _of_enough(rate, settings.min_stars)
+
+
+def _of_enough(rate: FlowRate | None, min_stars: int) -> FlowRate | None:
+    return rate if rate is not None and int(np.count_nonzero(rate.kept)) >= min_stars else None

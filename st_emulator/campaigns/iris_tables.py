@@ -155,9 +155,14 @@ class _Way:
     """A way to make a rate of the frames: F's, or the unit's; it remembers its last one."""
 
     def __init__(
-        self, paper_way: bool, parameters: FlowParameters, exposure_ns: int, geometry: CameraGeometry
+        self,
+        paper_way: bool,
+        min_stars: int,
+        parameters: FlowParameters,
+        exposure_ns: int,
+        geometry: CameraGeometry,
     ) -> None:
-        self._how = FlowSettings(weighted=not paper_way, predicted=not paper_way)
+        self._how = FlowSettings(weighted=not paper_way, predicted=not paper_way, min_stars=min_stars)
         self._parameters = replace(parameters, centrings=1) if paper_way else parameters
         self._exposure_s = exposure_ns * 1e-9
         self._geometry = geometry
@@ -197,8 +202,9 @@ def run_once(
     exposure_ns = scene.camera.exposure_ns
     bright_dn = scene.camera.electrons_per_s_mag0 * exposure_ns * 1e-9 / scene.camera.electrons_per_dn
     bright_dn *= 10.0 ** (-0.4 * FAINTEST_OF_LAWS)
+    min_stars = 2 if profile.rate is None else profile.rate.min_stars
     ways = {
-        paper_way: _Way(paper_way, parameters, exposure_ns, geometry)
+        paper_way: _Way(paper_way, min_stars, parameters, exposure_ns, geometry)
         for paper_way in {setting.paper_way for setting in settings}
     }
     records = [_Record(geometry) for _ in settings]
@@ -294,14 +300,16 @@ def pooled(runs: list[Run]) -> Pooled | None:
     standard_error = std / math.sqrt(len(errors))
     if len(means) > 3:
         standard_error = means.std(axis=0, ddof=1) / math.sqrt(len(means))
+    weights = [len(run.errors_deg_s) for run in runs]  # a run without a rate says nothing of stars either
+    of_stars = np.average(
+        [(run.stars, run.pixels, run.off_axis_rad) for run in runs], axis=0, weights=weights
+    )
     return Pooled(
         errors.mean(axis=0),
         standard_error,
         std,
         float((np.abs(errors) <= 3.0 * sigmas).mean()),
-        float(np.mean([run.stars for run in runs])),
-        float(np.mean([run.pixels for run in runs])),
-        float(np.mean([run.off_axis_rad for run in runs])),
+        *(float(mean) for mean in of_stars),
         len(errors),
         sum(run.without for run in runs),
     )

@@ -20,6 +20,7 @@ from ..firmware_model.identification.interface import (
 from ..firmware_model.image.detection import DetectionParameters
 from ..firmware_model.image.optical_flow import FlowParameters
 from ..firmware_model.processor import CycleBudget, ProcessorProfile
+from ..firmware_model.rate_from_flow import FlowSettings
 from ..firmware_model.tracking import TrackingParameters
 from ..units.profile import UnitProfile
 
@@ -102,6 +103,7 @@ def _rate_parameters(profile: UnitProfile) -> RateParameters | None:
         frames_to_rate_only=profile.rate.frames_to_rate_only,
         identify_below_rad_s=float(np.radians(profile.rate.identify_below_deg_s)),
         flow=_flow_parameters(profile) if profile.rate.method == "optical_flow" else None,
+        flow_settings=FlowSettings(min_stars=profile.rate.min_stars),
     )
 
 
