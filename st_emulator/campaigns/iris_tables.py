@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..bench.world_of import camera_model, sky_of
 from ..compiled_kernels import keep_compiled_kernels
-from ..device.calibration import firmware_configuration
+from ..device.calibration import firmware_configuration, flow_settings_of
 from ..device.parameters import default_parameters
 from ..firmware_model.frame_log import FrameLog
 from ..firmware_model.geometry import CameraGeometry
@@ -157,12 +157,12 @@ class _Way:
     def __init__(
         self,
         paper_way: bool,
-        min_stars: int,
+        settings: FlowSettings,
         parameters: FlowParameters,
         exposure_ns: int,
         geometry: CameraGeometry,
     ) -> None:
-        self._how = FlowSettings(weighted=not paper_way, predicted=not paper_way, min_stars=min_stars)
+        self._how = replace(settings, weighted=not paper_way, predicted=not paper_way)
         self._parameters = replace(parameters, centrings=1) if paper_way else parameters
         self._exposure_s = exposure_ns * 1e-9
         self._geometry = geometry
@@ -202,9 +202,8 @@ def run_once(
     exposure_ns = scene.camera.exposure_ns
     bright_dn = scene.camera.electrons_per_s_mag0 * exposure_ns * 1e-9 / scene.camera.electrons_per_dn
     bright_dn *= 10.0 ** (-0.4 * FAINTEST_OF_LAWS)
-    min_stars = 2 if profile.rate is None else profile.rate.min_stars
     ways = {
-        paper_way: _Way(paper_way, min_stars, parameters, exposure_ns, geometry)
+        paper_way: _Way(paper_way, flow_settings_of(profile), parameters, exposure_ns, geometry)
         for paper_way in {setting.paper_way for setting in settings}
     }
     records = [_Record(geometry) for _ in settings]
@@ -301,7 +300,7 @@ def pooled(runs: list[Run]) -> Pooled | None:
     if len(means) > 3:
         standard_error = means.std(axis=0, ddof=1) / math.sqrt(len(means))
     weights = [len(run.errors_deg_s) for run in runs]  # a run without a rate says nothing of stars either
-    of_stars = np.average(
+    stars, pixels, off_axis = np.average(
         [(run.stars, run.pixels, run.off_axis_rad) for run in runs], axis=0, weights=weights
     )
     return Pooled(
@@ -309,7 +308,9 @@ def pooled(runs: list[Run]) -> Pooled | None:
         standard_error,
         std,
         float((np.abs(errors) <= 3.0 * sigmas).mean()),
-        *(float(mean) for mean in of_stars),
+        float(stars),
+        float(pixels),
+        float(off_axis),
         len(errors),
         sum(run.without for run in runs),
     )

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 TURN_SHARE = (0.3, 0.8)  # of the run
 MOST_DEG_S = 5.0
-AXIS = (0.8, 0.6, 0.0)  # across the boresight: stars run over rows and columns
+AXIS = (0.8, 0.6, 0.0)  # across the boresight: stars run over rows and columns; along the Milky Way
 RAMP_SHARE = 0.45  # of the turn, up and down each
 PHASES = (
     (TURN_SHARE[0], "tracking, at rest"),
@@ -62,7 +62,7 @@ seed = {seed}
 kind = "slew"
 ra_deg = 84.0
 dec_deg = -1.5
-roll_deg = 20.0
+roll_deg = 184.0
 
 [[trajectory.segments]]
 kind = "hold"
@@ -162,13 +162,13 @@ def evaluate_turn(
     """Figures and checks from what the OBC received and from the truth by frame index."""
     series = series_of(seconds, session.attitudes, truth)
     reports = [report for report in session.attitudes if report.frame_index in truth]
-    rest = np.nan_to_num(series.speed_deg_s, nan=0.0) < 1e-6
+    rest = ~(series.speed_deg_s > 1e-6)
     turning = (series.t_s > series.turn_s[0]) & (series.t_s < series.turn_s[1])
     tracking = series.valid & (series.mode == Mode.TRACKING)
     known = np.isfinite(series.rate_deg_s).all(axis=1)
     judged = known & np.isfinite(series.sigma_deg_s).all(axis=1) & np.isfinite(series.true_deg_s).all(axis=1)
     off = (series.rate_deg_s - series.true_deg_s)[judged]
-    within = np.abs(off) <= 3.0 * series.sigma_deg_s[judged]
+    within = np.asarray(np.abs(off) <= 3.0 * series.sigma_deg_s[judged])
     first = next((report for report in reports if report.valid), None)
     acquired_s = None if first is None else (first.received_ns - session.acquire_ns) * 1e-9
     after = tracking & (series.t_s >= series.turn_s[1])
@@ -205,6 +205,7 @@ def evaluate_turn(
         "telecommands_sent": session.sent,
         "telecommands_verified": session.verified,
         "overruns": sum(report.late for report in session.attitudes),
+        "overruns_tracking": sum(report.late for report in reports if report.mode == Mode.TRACKING),
         "problem": session.problem or None,
     }
     checks = [
@@ -223,7 +224,8 @@ def evaluate_turn(
             "",
         ),
         check("invalid_without_reason", untold, "==", 0, "frames"),
-        check("overruns", figures["overruns"], "==", 0, "frames"),
+        # A unit that searches the whole sky and measures its rate at once may be late; it says so.
+        check("overruns_tracking", figures["overruns_tracking"], "==", 0, "frames"),
     ]
     if profile.requirements.cross_boresight_arcsec is not None:
         target = profile.requirements.cross_boresight_arcsec

@@ -35,6 +35,7 @@ OTHER_MODES = "#2b2e33"
 NEAREST_PX = 3.0  # between a centroid and the middle of the light of the star that it is
 FAINTEST_SHOWN_MAG = 5.5
 TRUE_COLOUR = "#69f0ae"
+ARROWS = 3.0  # so many times as long as the shifts
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,8 @@ def draw_turn(
     replayed = _replay(journal, where, int(series.frame_index[fastest]), truth)
     if replayed.fastest is None or replayed.fastest.result is None:
         raise ValueError(f"frame {series.frame_index[fastest]} is not in the journal's replay")
-    flows = isinstance(_kept(replayed.fastest), KeptFrame) and _kept(replayed.fastest).flow is not None
+    kept = _kept(replayed.fastest)
+    flows = kept is not None and kept.flow is not None
     with plt.rc_context(STYLE):
         figure, axes = plt.subplot_mosaic(
             [["streak", "how"], ["rate", "rate"], ["across", "across"], ["about", "about"]],
@@ -204,7 +206,7 @@ def _streak(axes: Any, record: FrameRecord, stars: list[Centroid], speed_deg_s: 
             **hollow,
         )
     axes.set_title(
-        f"(a) frame {record.index}, {speed_deg_s:.2f} deg/s: a star in {record.exposure_ns * 1e-6:g} ms",
+        f"(a) frame {record.index}, {speed_deg_s:.2f} deg/s: a star's streak of {record.exposure_ns * 1e-6:g} ms",
         fontsize=10,
     )
     axes.set_xlabel("column, px")
@@ -276,8 +278,8 @@ def _flow(axes: Any, replayed: Replayed, series: TurnSeries, fastest: int) -> No
     shift_y = focal * (moved[:, 1] / moved[:, 2] - u[:, 1])
     axes.quiver(
         first.x_px, first.y_px, shift_x, shift_y,
-        angles="xy", scale_units="xy", scale=1.0, width=0.004, color=STAR_COLOUR,
-        label="where the measured rate moves them",
+        angles="xy", scale_units="xy", scale=1.0 / ARROWS, width=0.004, color=STAR_COLOUR,
+        label=f"where the measured rate moves them ({ARROWS:g} times as long)",
     )  # fmt: skip
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), fontsize=8, ncols=1, frameon=False)
 
