@@ -206,7 +206,7 @@ def _streak(axes: Any, record: FrameRecord, stars: list[Centroid], speed_deg_s: 
             **hollow,
         )
     axes.set_title(
-        f"(a) frame {record.index}, {speed_deg_s:.2f} deg/s: a star's streak of {record.exposure_ns * 1e-6:g} ms",
+        f"(a) frame {record.index}, {speed_deg_s:.2f} deg/s: a star in {record.exposure_ns * 1e-6:g} ms",
         fontsize=10,
     )
     axes.set_xlabel("column, px")
