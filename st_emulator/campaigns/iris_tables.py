@@ -383,6 +383,9 @@ def _checks(setting: Setting, found: Pooled | None) -> list[Check]:
             allowed = max(allowed, 3.0 * float(found.standard_error[axis]))
         checks.append(check(f"{name}: {label} std", std, "<=", paper.std[axis], "deg/s"))
         checks.append(check(f"{name}: {label} mean", mean, "<=", allowed, "deg/s"))
+    # a unit that tells no rate has no errors either
+    told = None if found is None else found.rates / (found.rates + found.without)
+    checks.append(check(f"{name}: rates told", told, ">=", 0.99, ""))
     if setting.source == "sky":
         # The unit is calibrated under the sky. It does not know that it looks at a display, whose pixels move
         # each star by 0.19 px besides: what that does to its sigmas is printed, not asked for.

@@ -36,7 +36,7 @@ PHASES = (
 LOST_IN_SPACE_TARGET_S = 2.0
 AGAIN_TARGET_S = 2.0  # from the end of the turn to tracking
 WITHIN_TARGET = 0.99  # of the rates, within 3 of their own sigmas
-KNOWN_TARGET = 0.95  # of the frames of the turn have a rate
+KNOWN_TARGET = 0.8  # ASSUMED: of the turn's frames have a rate; the others see too few streaks, and say so
 ARCSEC_PER_RAD = 180 / np.pi * 3600
 
 

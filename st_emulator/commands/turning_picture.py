@@ -216,7 +216,9 @@ def _streak(axes: Any, record: FrameRecord, stars: list[Centroid], speed_deg_s: 
 
 def _errors(axes: Any, series: TurnSeries, centroids: dict[int, list[Centroid]]) -> None:
     """How far centroids are from where stars stood at mid-exposure, before and after compensation."""
-    speeds = dict(zip(series.frame_index.tolist(), series.speed_deg_s.tolist(), strict=True))
+    # a frame without a rate has nothing to compensate with
+    known = np.where(np.isfinite(series.rate_deg_s).all(axis=1), series.speed_deg_s, np.nan)
+    speeds = dict(zip(series.frame_index.tolist(), known.tolist(), strict=True))
     points: dict[str, list[tuple[float, float]]] = {"raw": [], "compensated": []}
     for index, stars in centroids.items():
         speed = speeds.get(index, math.nan)
@@ -244,7 +246,9 @@ def _errors(axes: Any, series: TurnSeries, centroids: dict[int, list[Centroid]])
     axes.grid(True, which="major", lw=0.4)
     axes.set_xlabel("rate, deg/s")
     axes.set_ylabel("distance from the true place at mid-exposure, px")
-    axes.set_title(f"(b) centroids of stars to {FAINTEST_SHOWN_MAG:g} mag, full frames", fontsize=10)
+    axes.set_title(
+        f"(b) centroids of stars to {FAINTEST_SHOWN_MAG:g} mag, full frames with a rate", fontsize=10
+    )
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), fontsize=8, ncols=2, frameon=False)
 
 
