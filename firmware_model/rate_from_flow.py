@@ -260,6 +260,8 @@ class FlowSettings:
     predicted: bool = True
     least_error_px: float = 0.1
     most_sigma_px: float = 2.0
+    min_stars: int = LEAST_STARS
+    most_error_rad_s: float = math.inf
 
 
 REWEIGHTINGS = 3
@@ -292,7 +294,7 @@ def rate_by_flow(
     """The flow from one frame to the next and the rate that it shows (F sections 2.1 and 2.2).
 
     interval_s: from mid-exposure to mid-exposure. last: the rate of the frame before, if it is known. The
-    steps are put into ``log``.
+    steps are put into ``log``. No rate: see ``FlowSettings``.
     """
     foreseen = None
     if settings.predicted and last is not None:
@@ -307,12 +309,11 @@ def rate_by_flow(
     second, steps_after = geometry.counted_unit_vectors(flow.x_px, flow.y_px)
     log.count(Work({"unit_vectors": 2 * len(flow), "newton_steps": steps_before + steps_after}))
     directions = {"before": first, "after": second, "interval_s": interval_s}
+    rate: FlowRate | None = None
     if not settings.weighted:
         alike = np.full(len(flow), math.sqrt(2.0) * settings.least_error_px / geometry.focal_px)
-        return flow, log.run(
-            "flow_rate", rate_from_directions, **directions, along_rad=alike, across_rad=alike
-        )
-    rate: FlowRate | None = None
+        rate = log.run("flow_rate", rate_from_directions, **directions, along_rad=alike, across_rad=alike)
+        return flow, _worth_telling(rate, settings)
     shift_x, shift_y = flow.x_px - flow.x_before_px, flow.y_px - flow.y_before_px
     streak = np.sqrt(shift_x * shift_x + shift_y * shift_y) * (exposure_s / interval_s)
     for _ in range(REWEIGHTINGS):
@@ -330,4 +331,11 @@ def rate_by_flow(
             break
         moved = np.cross(first, rate.rate_rad_s)
         streak = np.sqrt((moved * moved).sum(axis=1)) * (exposure_s * geometry.focal_px)
-    return flow, rate
+    return flow, _worth_telling(rate, settings)
+
+
+def _worth_telling(rate: FlowRate | None, settings: FlowSettings) -> FlowRate | None:
+    if rate is None or int(np.count_nonzero(rate.kept)) < settings.min_stars:
+        return None
+    worst = float(np.diag(rate.covariance_rad2_s2).max())
+    return rate if worst <= settings.most_error_rad_s * settings.most_error_rad_s else None

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from st_emulator.firmware_model.rate_from_flow import rate_from_directions
+from st_emulator.firmware_model.frame_log import FrameLog
+from st_emulator.firmware_model.geometry import CameraGeometry
+from st_emulator.firmware_model.image.lit_pixels import FlowFrame, FlowParameters, light_up
+from st_emulator.firmware_model.rate_from_flow import FlowSettings, rate_by_flow, rate_from_directions
+from st_emulator.firmware_model.work import Work
 
 INTERVAL_S = 0.1
 
@@ -129,3 +135,48 @@ def test_stars_in_one_place_give_no_rate() -> None:
 def test_no_time_gives_no_rate() -> None:
     before = field(5, 1)
     assert rate_from_directions(before, before, 0.0, alike(5), alike(5))[0] is None
+
+
+def test_three_stars_of_which_one_does_not_belong_are_no_rate() -> None:
+    """Two of three always agree: which one is wrong cannot be told, so that a unit asks for four."""
+    focal_px = 3440.0
+    geometry = CameraGeometry(focal_px=focal_px, cx_px=639.5, cy_px=511.5, width_px=1280, height_px=1024)
+    dark = np.full((1024, 1280), 30, np.uint16)
+    places = [(300, 200), (900, 400), (500, 800), (1000, 900)]
+
+    def image(count: int, shift: int) -> FlowFrame:
+        drawn = dark.copy()
+        for x, y in places[:count]:
+            drawn[y + shift - 1 : y + shift + 2, x - 1 : x + 2] = 500
+        return light_up(drawn, FlowParameters())[0]
+
+    for count, known in ((3, False), (4, True)):
+        _, rate = rate_by_flow(
+            image(count, 0), image(count, 5), 0.1, 0.08, geometry, FlowParameters(),
+            FlowSettings(min_stars=4), None, FrameLog(Work(), None),
+        )  # fmt: skip
+        assert (rate is not None) == known
+        if rate is not None:
+            assert np.degrees(rate.rate_rad_s[0]) == pytest.approx(np.degrees(5 / focal_px / 0.1), rel=0.02)
+
+
+def test_a_rate_that_says_of_itself_that_it_is_worth_nothing_is_none() -> None:
+    """Four stars close together: hardly anything is known about the boresight, and the sigma says so."""
+    geometry = CameraGeometry(focal_px=3440.0, cx_px=639.5, cy_px=511.5, width_px=1280, height_px=1024)
+
+    def image(shift: int) -> FlowFrame:
+        drawn = np.full((1024, 1280), 30, np.uint16)
+        for x, y in [(640, 500), (655, 500), (640, 515), (655, 515)]:
+            drawn[y + shift - 1 : y + shift + 2, x - 1 : x + 2] = 500
+        return light_up(drawn, FlowParameters())[0]
+
+    sigmas = []
+    for most in (math.inf, math.radians(2.75)):
+        _, rate = rate_by_flow(
+            image(0), image(5), 0.1, 0.08, geometry, FlowParameters(), FlowSettings(most_error_rad_s=most),
+            None, FrameLog(Work(), None),
+        )  # fmt: skip
+        sigmas.append(None if rate is None else math.degrees(math.sqrt(rate.covariance_rad2_s2[2, 2])))
+    assert sigmas[0] is not None
+    assert sigmas[0] > 2.75
+    assert sigmas[1] is None

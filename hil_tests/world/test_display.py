@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 
+from st_emulator.world.bodies import Sun
 from st_emulator.world.camera import CameraModel
 from st_emulator.world.display import Display, DisplayRenderer
+from st_emulator.world.false_spots import FalseSpots
+from st_emulator.world.sampled import SampledTrajectory, TruthSample
 from st_emulator.world.scene import SceneRenderer
 from st_emulator.world.stars import StarField
 from st_emulator.world.trajectory import ConstantRateTrajectory
@@ -126,3 +130,84 @@ def test_windows_are_cut_from_the_same_frame() -> None:
 def test_what_makes_no_display_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         Display(**{name: 0})
+
+
+def test_what_is_known_of_a_shown_star_is_that_stars() -> None:
+    """A star that the display leaves out must not move the truth of the others."""
+    stars = field((0.05, 0.0), (0.01, 0.02), (-0.03, 0.01), magnitudes=(3.0, 9.0, 4.0))
+    scene = renderer(stars, (1.0, 0.5, 0.0), Display())
+    truth = scene.truth(scene.frame(0, 0))
+    assert [star.hip for star in truth.stars] == [1, 3]
+    sky = SceneRenderer(CAMERA, stars, scene.trajectory, aberration=False)
+    middles = {star.hip: (star.x_mid_px, star.y_mid_px) for star in sky.truth(sky.frame(0, 0)).stars}
+    for star in truth.stars:
+        assert (star.x_mid_px, star.y_mid_px) == middles[star.hip]
+        assert (star.x_px, star.y_px) == pytest.approx(middles[star.hip], abs=0.6)
+
+
+def test_false_spots_are_the_detectors_and_stay() -> None:
+    trajectory = ConstantRateTrajectory(AHEAD, np.radians([0.0, 1.0, 0.0]))
+    spots = FalseSpots(5, 2.0, 4.0)
+    made = [
+        kind(CAMERA, field((0.01, 0.0)), trajectory, aberration=False, false_spots=spots)
+        for kind in (partial(DisplayRenderer, Display()), SceneRenderer)
+    ]
+    shown, sky = (scene.truth(scene.frame(3, 0)).false_spots for scene in made)
+    assert shown == sky
+    assert len(shown) == 5
+    light = made[0].frame(3, 0).light
+    assert (light.number == -1).sum() == 5
+    assert (np.ptp(light.xs[light.number == -1], axis=1) == 0.0).all()
+
+
+ROLLING = dataclasses.replace(CAMERA, rolling_readout_ns=60 * MS)
+
+
+@pytest.mark.parametrize("rate_deg_s", [(0.0, 0.0, 0.0), (0.4, -0.2, 0.0), (2.0, 3.0, 5.0)])
+def test_a_rolling_shutter_sees_of_a_fine_display_what_it_sees_of_the_sky(
+    rate_deg_s: tuple[float, float, float],
+) -> None:
+    display = dataclasses.replace(
+        Display(), pitch_mm=0.0025, columns=256_000, rows=160_000, update_hz=500.0, levels=10**7
+    )
+    stars = field((0.01, 0.02), (-0.05, 0.03), (0.06, -0.07))
+    trajectory = ConstantRateTrajectory(AHEAD, np.radians(rate_deg_s))
+    shown = DisplayRenderer(display, ROLLING, stars, trajectory, aberration=False)
+    sky = SceneRenderer(ROLLING, stars, trajectory, aberration=False)
+    one, other = (scene.frame(0, 0).mean_electrons() for scene in (shown, sky))
+    assert np.abs(one - other).max() < 0.06 * other.max()
+    assert one.sum() == pytest.approx(other.sum(), rel=2e-3)
+
+
+def test_a_rolling_shutter_sees_all_of_a_strip_at_once() -> None:
+    """A scene of 0.2 s at 2 deg/s: a row that is exposed for 5 ms of it sees the whole strip of 0.4 deg."""
+    camera = dataclasses.replace(CAMERA, exposure_ns=5 * MS, rolling_readout_ns=50 * MS)
+    display = dataclasses.replace(Display(), update_hz=5.0)
+    trajectory = ConstantRateTrajectory(AHEAD, np.radians([0.0, 2.0, 0.0]))
+    scene = DisplayRenderer(display, camera, field((0.0, 0.0)), trajectory, aberration=False)
+    seen = scene.frame(0, 0).mean_electrons()
+    lit = np.flatnonzero(seen.max(axis=0) > 0.2 * seen.max())
+    assert np.ptp(lit) == pytest.approx(1720 * np.radians(0.4), rel=0.1)
+
+
+def test_of_what_is_to_come_nothing_is_asked() -> None:
+    """Samples from outside end with the exposure; a scene that is on then would go on."""
+    samples = [
+        TruthSample(
+            t_ns, tuple(ConstantRateTrajectory(AHEAD, np.radians([0.0, 1.0, 0.0])).q_icrs_to_sensor(t_ns))
+        )
+        for t_ns in (93 * MS, 173 * MS)
+    ]
+    scene = DisplayRenderer(
+        Display(), CAMERA, field((0.0, 0.0)), SampledTrajectory(samples), aberration=False
+    )
+    light = scene.frame(0, 93 * MS).light
+    assert len(light.xs) == 1
+
+
+def test_a_dark_room_has_no_sun() -> None:
+    with pytest.raises(ValueError, match="dark room"):
+        DisplayRenderer(
+            Display(), CAMERA, field((0.0, 0.0)), ConstantRateTrajectory(AHEAD, np.zeros(3)),
+            bodies=[Sun(30.0, 100.0)],
+        )  # fmt: skip

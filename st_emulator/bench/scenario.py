@@ -10,11 +10,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from ..faults.catalogue import AnyFault
 from ..units.profile import NonNegative, Positive
 from ..units.validation import Section, Switch, parse_toml, read_text, validate
+from ..world.display import Display
 from .trajectory_sections import (
     ConstantRateTrajectory,
     DetumbleTrajectory,
@@ -36,6 +37,7 @@ from .trajectory_sections import (
 __all__ = [
     "ConstantRateTrajectory",
     "DetumbleTrajectory",
+    "DisplayedSky",
     "EarthFixedTrajectory",
     "FileTrajectory",
     "HoldSegment",
@@ -62,8 +64,52 @@ END_OF_STARTS = datetime(2090, 1, 1, tzinfo=UTC)
 DEFAULT_START = datetime(2026, 1, 15, tzinfo=UTC)
 
 
+class DisplayedSky(Section):
+    """A display behind a collimator shows the sky: the laboratory's way to stand in front of a real sensor.
+
+    Fasano et al., Sensors 13 (2013), section 3 and table 2: a star is one pixel of the display, or the strip
+    that it runs over while a scene is shown. Its figures are the defaults. The dark room holds no Sun, Moon
+    and Earth.
+    """
+
+    columns: Annotated[int, Field(ge=16, le=32768, description="pixels of the display, along image x")] = 2560
+    rows: Annotated[int, Field(ge=16, le=32768, description="pixels of the display, along image y")] = 1600
+    width_mm: Annotated[
+        float,
+        Field(ge=1, le=100000, description="of all columns, mm; pixels are square"),
+    ] = 641.0
+    collimator_mm: Annotated[
+        float, Field(ge=1, le=1000000, description="focal length of the collimator, mm")
+    ] = 1300.0
+    update_hz: Annotated[float, Field(ge=0.1, le=100000, description="scenes a second")] = 60.0
+    levels: Annotated[
+        int, Field(ge=1, le=2**24, description="steps of a pixel's brightness, linear in light")
+    ] = 255
+    brightest_mag: Annotated[
+        float, Field(ge=-30, le=30, description="magnitude of the highest step; brighter stars show as that")
+    ] = 1.0
+
+    @property
+    def display(self) -> Display:
+        """What the world makes of it."""
+        return Display(
+            columns=self.columns,
+            rows=self.rows,
+            pitch_mm=self.width_mm / self.columns,
+            focal_mm=self.collimator_mm,
+            update_hz=self.update_hz,
+            levels=self.levels,
+            brightest_mag=self.brightest_mag,
+        )
+
+
+def _displayed(value: Any) -> Any:
+    """true: a display like the paper's; false: the sky itself."""
+    return {True: {}, False: None}[value] if isinstance(value, bool) else value
+
+
 class Sky(Section):
-    """What the sky holds besides the stars."""
+    """What the sky holds besides the stars, and whether a display shows it."""
 
     aberration: Switch = True
     sun: Switch = True
@@ -71,6 +117,11 @@ class Sky(Section):
     earth: Switch = True
     false_spots: Annotated[int, Field(ge=0, le=1000)] = 0
     false_spot_magnitudes: tuple[float, float] = (3.0, 6.0)
+    display: Annotated[
+        DisplayedSky | None,
+        BeforeValidator(_displayed, json_schema_input_type=bool | DisplayedSky | None),
+        Field(description="true, or a table: a display behind a collimator shows the sky, without bodies"),
+    ] = None
 
 
 class ScenarioTelecommand(Section):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ..units.profile import UnitProfile
 from ..world import detumbling, orbit, pointing, slew, trajectory
 from ..world.bodies import STEEP, Body, Earth, Moon, Sun
 from ..world.camera import CameraModel
+from ..world.display import DisplayRenderer
 from ..world.false_spots import FalseSpots
 from ..world.scene import SceneRenderer
 from ..world.stars import StarField, star_field
@@ -178,7 +180,10 @@ def sky_of(start_tai_ns: int) -> StarField:
 
 
 def bodies_of(profile: UnitProfile, sky: Sky) -> list[Body]:
-    """Sun, Moon and Earth as the scenario has them and the unit's baffle lets them through."""
+    """Sun, Moon and Earth as the scenario has them and the unit's baffle lets them through; none where a
+    display shows the sky."""
+    if sky.display is not None:
+        return []
     exclusion = profile.exclusion
     stray = exclusion.stray_electrons_s_at_edge
     bodies: list[Body] = []
@@ -207,8 +212,11 @@ def scene_of(
     sky = scenario.sky
     brightest, faintest = sky.false_spot_magnitudes
     camera = camera_model(profile)
+    renderer: Callable[..., SceneRenderer] = SceneRenderer
+    if sky.display is not None:
+        renderer = partial(DisplayRenderer, sky.display.display)
     try:
-        return SceneRenderer(
+        return renderer(
             camera,
             sky_of(start_tai_ns),
             trajectory_of(scenario, start_tai_ns) if outside is None else outside,

@@ -3,15 +3,18 @@ sky.
 
 A run is F's: 100 frames at 10 a second from an equatorial orbit of 500 km, boresight to the zenith at its
 start, turning at the case's rate besides. F made one run a case; where its sky began is not printed, so that
-here each run begins at another right ascension. F says that the sensor frame is the orbital frame turned by
-180 deg about axis 1 and, in the same passage, that Y_s is axis 2 and X_s, Z_s are opposite; only the second
-gives omega_2 = -0.06243 deg/s of its table 3, so it is the one taken.
+here each run begins at another right ascension.
+
+What the display does to a star: it stands in the middle of a display pixel, or of the strip of pixels that
+it runs over in a scene, off by up to half a pixel of 0.011 deg on each axis: 0.19 px of the sensor, 1 sigma,
+in each of two images. With 55 stars (F's mean) that alone is 0.006 deg/s where the errors of two frames are
+independent: F's omega_1 and omega_2 of the slow turns are mostly the display's.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -20,11 +23,11 @@ from numpy.typing import NDArray
 
 from ..bench.world_of import camera_model, sky_of
 from ..compiled_kernels import keep_compiled_kernels
-from ..device.calibration import firmware_configuration
+from ..device.calibration import firmware_configuration, flow_settings_of
 from ..device.parameters import default_parameters
 from ..firmware_model.frame_log import FrameLog
 from ..firmware_model.geometry import CameraGeometry
-from ..firmware_model.image.optical_flow import FlowParameters, OpticalFlow, light_up
+from ..firmware_model.image.optical_flow import FlowFrame, FlowParameters, OpticalFlow, light_up
 from ..firmware_model.rate_from_flow import FlowRate, FlowSettings, rate_by_flow, rate_from_directions
 from ..firmware_model.work import Work
 from ..report import Check, TextTable, check
@@ -32,17 +35,15 @@ from ..units.profile import UnitProfile
 from ..world import quaternion
 from ..world.display import Display, DisplayRenderer
 from ..world.scene import SceneRenderer
-from ..world.trajectory import Instants, seconds
+from ..world.zenith_orbit import ZenithOrbit
 from .bench import start_tai_ns, with_section
 from .campaign import CampaignRequest, CampaignResult
 
 Array = NDArray[np.float64]
 
 FRAMES = 101  # 100 rates
-ORBIT_RATE_DEG_S = 0.06243  # F section 4: 500 km, circular
 FIRST_RA_DEG = 83.0
 GOLDEN = 0.6180339887498949  # runs begin where those before leave the largest gap
-TO_ZENITH = np.array([-0.5, 0.5, -0.5, 0.5])  # ICRS to a sensor whose X, Y, Z are its -Y, -Z, X
 AXES = ("omega_1", "omega_2", "omega_3")
 SOURCES = ("display", "sky")
 
@@ -66,42 +67,6 @@ CASES = (  # F tables 3, 4 and 5
 )
 
 
-class ZenithOrbit:
-    """The attitude of F: a circular equatorial orbit, boresight to the zenith, X against the velocity, Y
-    south; turned besides at a constant rate about the sensor's axes. The Earth is behind.
-    """
-
-    def __init__(self, first_ra_deg: float, turn_deg_s: tuple[float, float, float]) -> None:
-        self._first_rad = math.radians(first_ra_deg)
-        self._turn_rad_s = np.radians(turn_deg_s)
-
-    def q_icrs_to_sensor(self, t_ns: Instants) -> Array:
-        """See ``Trajectory``."""
-        t_s = seconds(t_ns)
-        ra = self._first_rad + math.radians(ORBIT_RATE_DEG_S) * t_s
-        about_pole = np.stack(
-            [np.zeros_like(ra), np.zeros_like(ra), np.sin(0.5 * ra), np.cos(0.5 * ra)], axis=-1
-        )
-        base = quaternion.multiply(TO_ZENITH, about_pole)
-        turned = quaternion.from_rotation_vector(t_s[..., np.newaxis] * self._turn_rad_s)
-        return quaternion.canonical(quaternion.multiply(turned, base))
-
-    def rate_sensor(self, t_ns: Instants) -> Array:
-        """See ``Trajectory``."""
-        turned = quaternion.from_rotation_vector(seconds(t_ns)[..., np.newaxis] * self._turn_rad_s)
-        # the orbit's rate is about Z of ICRS, which is -Y of the frame that is not yet turned
-        orbit = np.array([0.0, -math.radians(ORBIT_RATE_DEG_S), 0.0])
-        return np.asarray(quaternion.rotate(turned, orbit) + self._turn_rad_s)
-
-    def position_km(self, t_ns: Instants) -> Array | None:
-        """None: at rates like these an aberration of 5 arcsec that turns with the orbit is nothing."""
-        return None
-
-    def velocity_km_s(self, t_ns: Instants) -> Array | None:
-        """None, as the position."""
-        return None
-
-
 @dataclass(frozen=True)
 class Setting:
     """What is run: case (index), source (of SOURCES), F's way or the unit's; for F's scaling laws a rate of
@@ -118,6 +83,20 @@ class Setting:
     def turn_deg_s(self) -> tuple[float, float, float]:
         """Of the case; F's laws are of spots, so that theirs is a turn that leaves no streaks."""
         return CASES[self.case].turn_deg_s if self.by_chance is None else (0.2, 0.0, 0.0)
+
+    @property
+    def view(self) -> View:
+        """What it is made of; all settings of a view see the same frames."""
+        return View(self.turn_deg_s, self.source, self.focal_factor)
+
+
+@dataclass(frozen=True)
+class View:
+    """What the camera sees in a run: a turn in front of a source; several settings are of the same frames."""
+
+    turn_deg_s: tuple[float, float, float]
+    source: str
+    focal_factor: float
 
 
 @dataclass(frozen=True)
@@ -145,66 +124,120 @@ def _renderer(profile_json: str, source: str, seed: int) -> SceneRenderer:
     return SceneRenderer(*arguments, seed=seed, start_tai_ns=start)
 
 
-def run_once(profile: UnitProfile, seed: int, settings: tuple[Setting, ...], index: int) -> Run:
-    """Run ``index``: settings in turn, run after run."""
-    setting, number = settings[index % len(settings)], index // len(settings)
-    if setting.focal_factor != 1.0:
-        focal_mm = profile.optics.focal_length_mm * setting.focal_factor
+class _Record:
+    """Errors of the rates of one setting, as they come."""
+
+    def __init__(self, geometry: CameraGeometry) -> None:
+        self._geometry = geometry
+        self._errors: list[Array] = []
+        self._sigmas: list[Array] = []
+        self._means: list[tuple[float, float, float]] = []
+        self._without = 0
+
+    def take(self, found: FlowRate | None, flow: OpticalFlow, before: FlowFrame, rate_rad_s: Array) -> None:
+        if found is None:
+            self._without += 1
+            return
+        self._errors.append(np.degrees(found.rate_rad_s - rate_rad_s))
+        self._sigmas.append(np.degrees(np.sqrt(np.diag(found.covariance_rad2_s2))))
+        used = flow.star[found.kept]
+        u = self._geometry.unit_vectors(before.x_px[used], before.y_px[used])
+        off_axis = float(np.arccos(u[:, 2]).mean())
+        self._means.append((len(used), float(before.pixels[used].mean()), off_axis))
+
+    def run(self) -> Run:
+        stars, pixels, off_axis = np.array(self._means or [(0.0, 0.0, 0.0)]).mean(axis=0).tolist()
+        errors, sigmas = (np.array(rows).reshape(-1, 3) for rows in (self._errors, self._sigmas))
+        return Run(errors, sigmas, stars, pixels, off_axis, self._without)
+
+
+class _Way:
+    """A way to make a rate of the frames: F's, or the unit's; it remembers its last one."""
+
+    def __init__(
+        self,
+        paper_way: bool,
+        settings: FlowSettings,
+        parameters: FlowParameters,
+        exposure_ns: int,
+        geometry: CameraGeometry,
+    ) -> None:
+        self._how = replace(settings, weighted=not paper_way, predicted=not paper_way)
+        self._parameters = replace(parameters, centrings=1) if paper_way else parameters
+        self._exposure_s = exposure_ns * 1e-9
+        self._geometry = geometry
+        self._last: FlowRate | None = None
+
+    def rate(
+        self, before: FlowFrame, after: FlowFrame, interval_s: float
+    ) -> tuple[OpticalFlow, FlowRate | None]:
+        flow, self._last = rate_by_flow(
+            before,
+            after,
+            interval_s,
+            self._exposure_s,
+            self._geometry,
+            self._parameters,
+            self._how,
+            self._last,
+            FrameLog(Work(), None),
+        )
+        return flow, self._last
+
+
+def run_once(
+    profile: UnitProfile, seed: int, views: tuple[tuple[Setting, ...], ...], index: int
+) -> tuple[Run, ...]:
+    """Run ``index``: views in turn, run after run; a run for each setting of the view."""
+    settings, number = views[index % len(views)], index // len(views)
+    view = settings[0].view
+    if view.focal_factor != 1.0:
+        focal_mm = profile.optics.focal_length_mm * view.focal_factor
         profile = with_section(profile, "optics", focal_length_mm=focal_mm)
-    scene = _renderer(profile.model_dump_json(), setting.source, seed)
-    trajectory = ZenithOrbit(FIRST_RA_DEG + 360.0 * (number * GOLDEN % 1.0), setting.turn_deg_s)
+    scene = _renderer(profile.model_dump_json(), view.source, seed)
+    trajectory = ZenithOrbit(FIRST_RA_DEG + 360.0 * (number * GOLDEN % 1.0), view.turn_deg_s)
     scene.trajectory = trajectory
     geometry = firmware_configuration(profile, default_parameters(profile)).geometry
-    parameters = FlowParameters(largest_shift_px=max(8, math.ceil(40 * setting.focal_factor)))
-    how = FlowSettings(weighted=not setting.paper_way, predicted=not setting.paper_way)
-    if setting.paper_way:
-        parameters = FlowParameters(centrings=1)
-    period_ns = profile.frame_period_ns
+    parameters = FlowParameters(largest_shift_px=max(8, math.ceil(40 * view.focal_factor)))
     exposure_ns = scene.camera.exposure_ns
     bright_dn = scene.camera.electrons_per_s_mag0 * exposure_ns * 1e-9 / scene.camera.electrons_per_dn
     bright_dn *= 10.0 ** (-0.4 * FAINTEST_OF_LAWS)
-    log = FrameLog(Work(), None)
-    before, last, before_ns = None, None, 0
-    errors, sigmas, stars, pixels, off_axis, without = [], [], [], [], [], 0
+    ways = {
+        paper_way: _Way(paper_way, flow_settings_of(profile), parameters, exposure_ns, geometry)
+        for paper_way in {setting.paper_way for setting in settings}
+    }
+    records = [_Record(geometry) for _ in settings]
+    before, before_ns = None, 0
     for frame_number in range(FRAMES):
-        frame = scene.frame(number * FRAMES + frame_number, frame_number * period_ns, exposure_ns)
+        exposure_start_ns = frame_number * profile.frame_period_ns
+        frame = scene.frame(number * FRAMES + frame_number, exposure_start_ns, exposure_ns)
         after, _ = light_up(frame.full(), parameters)
         middle_ns = frame.exposure_mid_ns
         if before is not None:
             interval_s = (middle_ns - before_ns) * 1e-9
-            flow, last = rate_by_flow(
-                before, after, interval_s, exposure_ns * 1e-9, geometry, parameters, how, last, log
-            )
-            if setting.by_chance is not None:
-                chance = np.random.default_rng([seed, number, frame_number])
-                bright = before.flux_dn[flow.star] >= bright_dn
-                some = flow.take(np.flatnonzero(bright))
-                flow, found = _of_some(some, setting.by_chance, chance, geometry, interval_s)
-            else:
-                found = last
-            if found is None:
-                without += 1
-            else:
-                q_before, q_after = (trajectory.q_icrs_to_sensor(t) for t in (before_ns, middle_ns))
-                turn = quaternion.to_rotation_vector(
-                    quaternion.multiply(q_after, quaternion.conjugate(q_before))
-                )
-                errors.append(np.degrees(found.rate_rad_s - turn / interval_s))
-                sigmas.append(np.degrees(np.sqrt(np.diag(found.covariance_rad2_s2))))
-                used = flow.star[found.kept]
-                stars.append(len(used))
-                pixels.append(float(before.pixels[used].mean()))
-                u = geometry.unit_vectors(before.x_px[used], before.y_px[used])
-                off_axis.append(float(np.arccos(u[:, 2]).mean()))
+            q_before, q_after = (trajectory.q_icrs_to_sensor(t) for t in (before_ns, middle_ns))
+            turn = quaternion.multiply(q_after, quaternion.conjugate(q_before))
+            rate_rad_s = quaternion.to_rotation_vector(turn) / interval_s
+            rates = {paper_way: way.rate(before, after, interval_s) for paper_way, way in ways.items()}
+            for setting, record in zip(settings, records, strict=True):
+                flow, found = rates[setting.paper_way]
+                if setting.by_chance is not None:
+                    chance = np.random.default_rng([seed, number, frame_number])
+                    alike = flow.take(np.flatnonzero(_alike(flow, found, before, bright_dn)))
+                    flow, found = _of_some(alike, setting.by_chance, chance, geometry, interval_s)
+                record.take(found, flow, before, rate_rad_s)
         before, before_ns = after, middle_ns
-    return Run(
-        np.array(errors).reshape(-1, 3),
-        np.array(sigmas).reshape(-1, 3),
-        float(np.mean(stars)) if stars else 0.0,
-        float(np.mean(pixels)) if pixels else 0.0,
-        float(np.mean(off_axis)) if off_axis else 0.0,
-        without,
-    )
+    return tuple(record.run() for record in records)
+
+
+def _alike(
+    flow: OpticalFlow, found: FlowRate | None, before: FlowFrame, bright_dn: float
+) -> NDArray[np.bool_]:
+    """The stars that F's laws are about: bright ones, seen well, and no mismatches. Which are mismatches is
+    told by the rate of all stars: five by chance could not tell, and the law is of noise.
+    """
+    bright: NDArray[np.bool_] = before.flux_dn[flow.star] >= bright_dn
+    return bright & found.kept if found is not None else np.zeros(len(flow), np.bool_)
 
 
 def _of_some(
@@ -228,10 +261,11 @@ def _of_some(
 MAIN = tuple(
     Setting(case, source, paper_way) for paper_way in (False, True) for source in SOURCES for case in range(4)
 )
+CHOSEN_STARS = (5, 10, 20)
 #: For F (13), (14) and (28): stars and IFOV, at 1 deg/s about axis 1, on the sky.
 SCALING = (
-    *(Setting(0, "sky", by_chance=stars) for stars in (5, 10, 20)),
-    *(Setting(0, "sky", by_chance=10, focal_factor=factor) for factor in (0.5, 0.7)),
+    *(Setting(0, "sky", by_chance=stars) for stars in CHOSEN_STARS),
+    *(Setting(0, "sky", by_chance=CHOSEN_STARS[1], focal_factor=factor) for factor in (0.5, 0.7)),
 )
 
 
@@ -265,14 +299,18 @@ def pooled(runs: list[Run]) -> Pooled | None:
     standard_error = std / math.sqrt(len(errors))
     if len(means) > 3:
         standard_error = means.std(axis=0, ddof=1) / math.sqrt(len(means))
+    weights = [len(run.errors_deg_s) for run in runs]  # a run without a rate says nothing of stars either
+    stars, pixels, off_axis = np.average(
+        [(run.stars, run.pixels, run.off_axis_rad) for run in runs], axis=0, weights=weights
+    )
     return Pooled(
         errors.mean(axis=0),
         standard_error,
         std,
         float((np.abs(errors) <= 3.0 * sigmas).mean()),
-        float(np.mean([run.stars for run in runs])),
-        float(np.mean([run.pixels for run in runs])),
-        float(np.mean([run.off_axis_rad for run in runs])),
+        float(stars),
+        float(pixels),
+        float(off_axis),
         len(errors),
         sum(run.without for run in runs),
     )
@@ -289,12 +327,17 @@ def predicted_sigma_deg_s(profile: UnitProfile, found: Pooled, focal_factor: flo
 def run(request: CampaignRequest) -> CampaignResult:
     """``n`` runs of 100 rates for each case, on the display and on the sky, F's way and the unit's."""
     settings = (*MAIN, *SCALING)
+    by_view: dict[View, list[Setting]] = {}
+    for setting in settings:
+        by_view.setdefault(setting.view, []).append(setting)
+    views = tuple(tuple(group) for group in by_view.values())
     outcomes = request.workers.map(
-        partial(run_once, request.profile, request.seed, settings), range(request.n * len(settings))
+        partial(run_once, request.profile, request.seed, views), range(request.n * len(views))
     )
     by_setting = {
-        setting: pooled([outcomes[k] for k in range(place, len(outcomes), len(settings))])
-        for place, setting in enumerate(settings)
+        setting: pooled([run[place] for run in outcomes[number :: len(views)]])
+        for number, group in enumerate(views)
+        for place, setting in enumerate(group)
     }
     checks: list[Check] = []
     for setting in MAIN:
@@ -321,6 +364,7 @@ def run(request: CampaignRequest) -> CampaignResult:
         _table(f"errors of the rate, deg/s: {_way(paper_way)}", by_setting, paper_way)
         for paper_way in (False, True)
     ]
+    tables.append(_table_of_runs(request.profile, by_setting))
     return CampaignResult(figures, checks, tables)
 
 
@@ -339,8 +383,14 @@ def _checks(setting: Setting, found: Pooled | None) -> list[Check]:
             allowed = max(allowed, 3.0 * float(found.standard_error[axis]))
         checks.append(check(f"{name}: {label} std", std, "<=", paper.std[axis], "deg/s"))
         checks.append(check(f"{name}: {label} mean", mean, "<=", allowed, "deg/s"))
-    within = None if found is None else found.within_3_sigma
-    checks.append(check(f"{name}: within 3 sigma", within, ">=", 0.985, ""))
+    # a unit that tells no rate has no errors either
+    told = None if found is None else found.rates / (found.rates + found.without)
+    checks.append(check(f"{name}: rates told", told, ">=", 0.99, ""))
+    if setting.source == "sky":
+        # The unit is calibrated under the sky. It does not know that it looks at a display, whose pixels move
+        # each star by 0.19 px besides: what that does to its sigmas is printed, not asked for.
+        within = None if found is None else found.within_3_sigma
+        checks.append(check(f"{name}: within 3 sigma", within, ">=", 0.985, ""))
     return checks
 
 
@@ -398,26 +448,33 @@ def _figures(profile: UnitProfile, setting: Setting, found: Pooled | None) -> di
 def _table(title: str, by_setting: dict[Setting, Pooled | None], paper_way: bool) -> TextTable:
     rows = []
     for case, paper in enumerate(CASES):
-        for axis, label in enumerate(AXES):
-            row = [f"{case + 1}", label, f"{paper.mean[axis]:.2e}", f"{paper.std[axis]:.2e}"]
+        for axis in range(3):
+            row = [f"{case + 1}", f"{axis + 1}", f"{paper.mean[axis]:.1e}", f"{paper.std[axis]:.1e}"]
             for source in SOURCES:
                 found = by_setting[Setting(case, source, paper_way)]
-                if found is None:
-                    row += ["-", "-"]
-                else:
-                    row += [
-                        f"{found.mean[axis]:.1e} +- {found.standard_error[axis]:.0e}",
-                        f"{found.std[axis]:.2e}",
-                    ]
+                row += ["-", "-"] if found is None else [f"{found.mean[axis]:.1e}", f"{found.std[axis]:.1e}"]
             rows.append(tuple(row))
-    columns = (
-        "case",
-        "rate",
-        "paper mean",
-        "paper std",
-        "display mean",
-        "display std",
-        "sky mean",
-        "sky std",
-    )
+    columns = ("case", "axis", *(f"{whose} {of}" for whose in ("paper", *SOURCES) for of in ("mean", "std")))
     return TextTable(title, columns, tuple(rows))
+
+
+def _table_of_runs(profile: UnitProfile, by_setting: dict[Setting, Pooled | None]) -> TextTable:
+    """Of how many stars the unit's rates are, and what its sigmas are worth."""
+    rows = []
+    for setting in MAIN:
+        found = by_setting[setting]
+        if setting.paper_way or found is None:
+            continue
+        rows.append(
+            (
+                f"{setting.case + 1}",
+                setting.source,
+                f"{found.rates}",
+                f"{found.without}",
+                f"{found.stars:.1f}",
+                f"{found.within_3_sigma:.4f}",
+                f"{predicted_sigma_deg_s(profile, found):.1e}",
+            )
+        )
+    columns = ("case", "source", "rates", "without", "stars", "within 3 sigma", "F (14), deg/s")
+    return TextTable("rates of the unit: stars kept, errors within 3 of their sigmas", columns, tuple(rows))

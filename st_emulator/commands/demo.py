@@ -10,10 +10,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -33,8 +33,16 @@ from ..units.validation import validate
 from ..world import quaternion
 from .series import Series
 
+if TYPE_CHECKING:
+    from .turning_demo import TurnSeries
+
 ARCSEC_PER_RAD = 180 / np.pi * 3600
 SLEW_SHARE = (0.55, 0.8)  # of the run
+PHASES = (
+    (SLEW_SHARE[0], "tracking, at rest"),
+    (SLEW_SHARE[1], "tracking, slew"),
+    (1.0, "tracking, at rest"),
+)
 SHUTDOWN_S = 1.5  # before the end
 LOST_IN_SPACE_TARGET_S = 2.0
 TRACKING_SHARE_TARGET = 0.95
@@ -74,6 +82,29 @@ ra_deg = 84.0
 dec_deg = {-1.5 - angle_deg:.4f}
 roll_deg = 20.0
 """
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a demo shows: its scenario; what is said until which share of the run; how it is judged, and the
+    picture of it.
+    """
+
+    scenario: Callable[[UnitProfile, float, int], str]
+    phases: tuple[tuple[float, str], ...]
+    evaluate: Callable[
+        [UnitProfile, float, Session, dict[int, dict[str, Any]]], tuple[dict[str, Any], list[Check], Any]
+    ]
+    draw: Callable[[UnitProfile, Any, Path, Path], None]
+
+
+def plan_of(profile: UnitProfile) -> Plan:
+    """A slew within the unit's tracking rate; for a unit that measures its rate alone, a turn far over it."""
+    from . import turning_demo
+
+    if turning_demo.turns(profile):
+        return Plan(turning_demo.turn_scenario, turning_demo.PHASES, turning_demo.evaluate_turn, _draw_turn)
+    return Plan(demo_scenario, PHASES, evaluate, _draw)
 
 
 @dataclass
@@ -119,13 +150,14 @@ def run_demo(
     """Run the demo; exit status 0 when every check holds, else 1."""
     require_json_path(json_path)
     profile = load_unit(unit)
+    plan = plan_of(profile)
     link, path = demo_link(link_text, out)
     scenario_path = out / "scenario.toml"
     try:
         out.mkdir(parents=True, exist_ok=True)
         _clear(out)
         scenario_path.write_text(
-            demo_scenario(profile, seconds, 1 if seed is None else seed), encoding="utf-8"
+            plan.scenario(profile, seconds, 1 if seed is None else seed), encoding="utf-8"
         )
     except OSError as error:
         raise ConfigurationError(f"--out {out}: cannot be used: {error.strerror}") from error
@@ -139,7 +171,7 @@ def run_demo(
     with _ended_by_sigterm():
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
-            session = _operate(process, link, path, before, unit, profile, seconds, out, console)
+            session = _operate(process, link, path, before, unit, profile, seconds, plan.phases, out, console)
         finally:
             said = _end(process)
     if process.returncode != 0:
@@ -150,10 +182,10 @@ def run_demo(
         )
     if session.problem:
         console.print(f"[red]{escape(session.problem)}[/]")
-    figures, checks, series = evaluate(profile, seconds, session, read_truth(out / "truth.jsonl"))
+    figures, checks, series = plan.evaluate(profile, seconds, session, read_truth(out / "truth.jsonl"))
     picture = out / "demo.png"
     try:
-        _draw(profile, series, out, picture)
+        plan.draw(profile, series, out, picture)
         figures["picture"] = str(picture)
     except (OSError, ValueError, ConfigurationError) as error:
         console.print(f"[red]no picture: {escape(str(error))}[/]")
@@ -219,6 +251,7 @@ def _operate(
     unit: str,
     profile: UnitProfile,
     seconds: float,
+    phases: tuple[tuple[float, str], ...],
     out: Path,
     console: Console,
 ) -> Session:
@@ -266,12 +299,7 @@ def _operate(
                 session.acquire_ns = obc.now_ns()
                 command("lost in space", obc.acquire)
                 obc.wait_for_mode("TRACKING", timeout_s=10)
-                phase = [
-                    (SLEW_SHARE[0], "tracking, at rest"),
-                    (SLEW_SHARE[1], "tracking, slew"),
-                    (1.0, "tracking, at rest"),
-                ]
-                for share, doing in phase:
+                for share, doing in phases:
                     do(doing)
                     until = min(share * seconds, seconds - SHUTDOWN_S)
                     while (left := until - elapsed_s()) > 0:
@@ -426,6 +454,15 @@ def _draw(profile: UnitProfile, series: Series, out: Path, picture: Path) -> Non
     if record is None:
         raise ValueError(f"frame {index} is not in the journal's replay")
     draw_run(profile, record, series, picture)
+
+
+def _draw_turn(profile: UnitProfile, series: TurnSeries, out: Path, picture: Path) -> None:
+    """Streaks, rates over time, and what the unit makes of them, from a replay of the journal."""
+    from .turning_picture import draw_turn
+
+    journal = read_journal(out / "journal.jsonl")
+    series.modes[:] = mode_changes(journal)
+    draw_turn(profile, series, journal, str(out / "journal.jsonl"), read_truth(out / "truth.jsonl"), picture)
 
 
 def mode_changes(journal: Journal) -> list[tuple[float, Mode]]:

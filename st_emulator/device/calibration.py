@@ -20,6 +20,7 @@ from ..firmware_model.identification.interface import (
 from ..firmware_model.image.detection import DetectionParameters
 from ..firmware_model.image.optical_flow import FlowParameters
 from ..firmware_model.processor import CycleBudget, ProcessorProfile
+from ..firmware_model.rate_from_flow import FlowSettings
 from ..firmware_model.tracking import TrackingParameters
 from ..units.profile import UnitProfile
 
@@ -102,7 +103,19 @@ def _rate_parameters(profile: UnitProfile) -> RateParameters | None:
         frames_to_rate_only=profile.rate.frames_to_rate_only,
         identify_below_rad_s=float(np.radians(profile.rate.identify_below_deg_s)),
         flow=_flow_parameters(profile) if profile.rate.method == "optical_flow" else None,
+        flow_settings=flow_settings_of(profile),
     )
+
+
+def flow_settings_of(profile: UnitProfile) -> FlowSettings:
+    """How a unit makes a rate of an optical flow.
+
+    ASSUMED: a rate whose own sigma about an axis is over half of the largest that the unit measures is none:
+    of few stars that stand close together one had an error of 20 deg/s about the boresight, and said so.
+    """
+    assert profile.rate is not None
+    most_rad_s = float(np.radians(profile.rate.most_deg_s))
+    return FlowSettings(min_stars=profile.rate.min_stars, most_error_rad_s=0.5 * most_rad_s)
 
 
 def _flow_parameters(profile: UnitProfile) -> FlowParameters:

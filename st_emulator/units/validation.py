@@ -81,7 +81,7 @@ def _problem(schema: Schema, data: Any, error: dict[str, Any]) -> str:
     node = _node(schema, location)
     key = _key(data, location, last_is_key=kind in ("missing", "extra_forbidden"))
     if kind == "extra_forbidden":
-        table = _node(schema, location[:-1]) or {}
+        table = _table(schema, _node(schema, location[:-1]) or {})
         return f"{key}: is not a known key; allowed are {', '.join(table.get('properties', {}))}"
     if kind == "missing":
         return f"{key}: is missing; allowed is {_allowed(schema, node)}"
@@ -125,6 +125,12 @@ def _resolved(schema: Schema, node: Schema) -> Schema:
     return _resolved(schema, choices[0]) if len(choices) == 1 else node
 
 
+def _table(schema: Schema, node: Schema) -> Schema:
+    """The table among what a value may be."""
+    choices = (_resolved(schema, choice) for choice in node.get("anyOf", ()))
+    return next((choice for choice in choices if "properties" in choice), node)
+
+
 def _node(schema: Schema, location: tuple[int | str, ...]) -> Schema | None:
     """The part of a JSON schema that a pydantic location leads to."""
     node = _resolved(schema, schema)
@@ -140,7 +146,9 @@ def _node(schema: Schema, location: tuple[int | str, ...]) -> Schema | None:
         elif isinstance(node.get("additionalProperties"), dict):
             node = node["additionalProperties"]
         elif "anyOf" in node:
-            continue  # pydantic names the member of a union that it tried
+            tables = [_resolved(schema, choice) for choice in node["anyOf"]]
+            # pydantic names the member of a union that it tried, or the key in the only table of it
+            node = next((t["properties"][part] for t in tables if part in t.get("properties", {})), node)
         else:
             return None
         node = _resolved(schema, node)
@@ -159,7 +167,8 @@ def _allowed(schema: Schema, node: Schema | None) -> str:
         choice = node["discriminator"]
         return f"a table with {choice['propertyName']} = {' or '.join(choice['mapping'])}"
     if "anyOf" in node:
-        return " or ".join(_allowed(schema, _resolved(schema, choice)) for choice in node["anyOf"])
+        choices = [choice for choice in node["anyOf"] if choice.get("type") != "null"]
+        return " or ".join(_allowed(schema, _resolved(schema, choice)) for choice in choices)
     kind = node.get("type")
     if kind in ("integer", "number"):
         return ("a whole number" if kind == "integer" else "a number") + _range(node)

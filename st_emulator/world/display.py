@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from . import quaternion
 from .bodies import ObserverState
+from .sampled import SampledTrajectory
 from .scene import RenderedFrame, SceneRenderer, _Light
 from .star_index import matrix_of
 from .stars import SPEED_OF_LIGHT_KM_S
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 GOLDEN = 0.6180339887498949
+SWEEPS_A_ROW = 4  # of a strip, to and fro, in the exposure of a row, where a scene outlasts it
+MOST_STEPS, MOST_STEPS_BY_ROWS = 1024, 4096
 SPREAD_X, SPREAD_Y = 0.7548776662466927, 0.5698402909980532  # R2 sequence (Roberts 2018)
 
 
@@ -105,35 +108,34 @@ def _paths(
 
 
 class DisplayRenderer(SceneRenderer):
-    """The sky of a scene, shown to the camera by a display. Sun, Moon and Earth are not there."""
+    """The sky of a scene, shown to the camera by a display. Sun, Moon and Earth are not there; false spots
+    are the detector's own and stay. The true middles of stars (``x_mid_px``) are those of the sky: what the
+    display does to them is an error of the measurement.
+    """
 
     def __init__(self, display: Display, *arguments: Any, **more: Any) -> None:
+        if more.get("bodies"):
+            raise ValueError("a display in a dark room shows no Sun, Moon and Earth")
         super().__init__(*arguments, **more)
         self.display = display
 
     def _light(self, frame: RenderedFrame) -> _Light:
         light = super()._light(frame)
         camera, display = self.camera, self.display
-        start, exposure = frame.exposure_start_ns, frame.exposure_ns
-        steps = self._display_steps(start, exposure)
-        update_ns = 1e9 / display.update_hz
-        # When the camera looks, which scene is shown then, and which instant of that scene's time.
-        seen = start + (np.arange(steps) + 0.5) * exposure / steps
-        scene_start = np.floor(seen / update_ns) * update_ns
-        number = np.arange(steps)
-        within = (0.5 + number * GOLDEN) % 1.0
-        instants = np.rint(scene_start + within * update_ns).astype(np.int64)
-        matrices = np.empty((steps, 3, 3))
+        instants, steps = self._instants(frame)
+        points = len(instants)
+        matrices = np.empty((points, 3, 3))
         for s, q in enumerate(self.trajectory.q_icrs_to_sensor(instants)):
             matrix_of(q, matrices[s])
+        number = np.arange(points)
         spread = np.stack(
             [(0.5 + number * SPREAD_X) % 1.0 - 0.5, (0.5 + number * SPREAD_Y) % 1.0 - 0.5], axis=1
         )
         observer = ObserverState.at(self.trajectory, frame.exposure_mid_ns, self.start_tai_ns)
         beta = observer.velocity_km_s / SPEED_OF_LIGHT_KM_S if self.aberration else np.zeros(3)
-        stars = light.number[light.number >= 0]
+        stars = np.flatnonzero(light.number >= 0)
         xs, ys, shown = _paths(
-            stars,
+            light.number[stars],
             self._index.vectors,
             beta,
             matrices,
@@ -141,10 +143,12 @@ class DisplayRenderer(SceneRenderer):
             np.array([display.pixel_tangent, display.columns, display.rows]),
             self._optics,
         )
-        of_mag0 = camera.electrons_per_s_mag0 * exposure * 1e-9
-        electrons = display.shown(light.electrons[light.number >= 0], of_mag0)
+        of_mag0 = camera.electrons_per_s_mag0 * frame.exposure_ns * 1e-9
+        electrons = display.shown(light.electrons[stars], of_mag0)
         shown &= electrons > 0.0
-        xs, ys = xs[shown], ys[shown]
+        spots = np.flatnonzero(light.number < 0)
+        xs = np.concatenate([xs[shown], np.repeat(light.xs[spots, :1], points, axis=1)])
+        ys = np.concatenate([ys[shown], np.repeat(light.ys[spots, :1], points, axis=1)])
         box = np.stack(
             [
                 np.floor(xs.min(axis=1, initial=1e6) - self._reach_px + 0.5).clip(0),
@@ -158,20 +162,61 @@ class DisplayRenderer(SceneRenderer):
             ],
             axis=1,
         ).astype(np.int32)
+        kept = np.concatenate([stars[shown], spots])
         return dataclasses.replace(
             light,
-            number=stars[shown],
+            number=light.number[kept],
             xs=xs,
             ys=ys,
-            electrons=electrons[shown],
+            electrons=np.concatenate([electrons[shown], light.electrons[spots]]),
             box=np.ascontiguousarray(box),
+            lit=np.tile(np.array([0, steps], np.int32), (len(kept), 1)),
+            middle=light.middle[kept],
+            steps=steps,
+            row_span=steps * frame.exposure_ns / self._lasts_ns(frame) if self._by_rows else 0.0,
         )
 
-    def _display_steps(self, start_ns: int, exposure_ns: int) -> int:
-        """So many places sample the light of a star: two a display pixel of its strip, and 48 at least."""
-        knots = start_ns + (np.arange(5) * exposure_ns) // 4
+    def _lasts_ns(self, frame: RenderedFrame) -> int:
+        return frame.exposure_end_ns - frame.exposure_start_ns
+
+    def _instants(self, frame: RenderedFrame) -> tuple[NDArray[np.int64], int]:
+        """(of which instant of the trajectory the display shows a place while the camera looks, sub-steps).
+
+        All of a scene's strip is lit as long as the scene is shown, so that the places are sampled all over
+        the strip at any time. Where rows are exposed each in its own time the points are the ends of
+        sub-steps, between which light is spread: there the strip is run over to and fro, without a jump.
+        """
+        start, lasts = frame.exposure_start_ns, self._lasts_ns(frame)
+        update_ns = 1e9 / self.display.update_hz
+        strip = self._strip_pixels(start, lasts)
+        if self._by_rows:
+            # an odd number, so that a strip is left where the next one begins
+            sweeps = 2 * math.ceil(max(1.0, 0.5 * SWEEPS_A_ROW * update_ns / frame.exposure_ns)) + 1
+            a_scene = sweeps * max(4, math.ceil(2.0 * strip * update_ns / lasts))
+            steps = int(min(max(math.ceil(a_scene * lasts / update_ns), 48), MOST_STEPS_BY_ROWS))
+            seen = start + np.arange(steps + 1) * (lasts / steps)
+        else:
+            # two a display pixel and more, so that none of the strip is left out
+            steps = int(min(max(48, 4 * math.ceil(strip)), MOST_STEPS))
+            seen = start + (np.arange(steps) + 0.5) * lasts / steps
+        scene_start = np.floor(seen / update_ns) * update_ns
+        if self._by_rows:
+            swept = sweeps * (seen - scene_start) / update_ns
+            back = np.floor(swept) % 2 == 1
+            within = np.where(back, 1.0 - swept % 1.0, swept % 1.0)
+        else:
+            within = (0.5 + np.arange(steps) * GOLDEN) % 1.0
+        scene_end = scene_start + update_ns
+        if isinstance(self.trajectory, SampledTrajectory):
+            # what is to come is not known yet, nor need the past be: strips are of the exposure alone
+            scene_start = np.maximum(scene_start, start)
+            scene_end = np.minimum(scene_end, frame.exposure_end_ns)
+        return np.floor(scene_start + within * (scene_end - scene_start)).astype(np.int64), steps
+
+    def _strip_pixels(self, start_ns: int, lasts_ns: int) -> float:
+        """Display pixels that a star runs over in a time, at most."""
+        knots = start_ns + (np.arange(5) * lasts_ns) // 4
         q = self.trajectory.q_icrs_to_sensor(knots)
         turns = quaternion.multiply(q[1:], quaternion.conjugate(q[:-1]))
         angle = float(2.0 * np.arcsin(np.clip(np.linalg.norm(turns[:, :3], axis=1), 0, 1)).sum())
-        pixels = angle * (1.0 + math.tan(self._half_diagonal_rad) ** 2) / self.display.pixel_tangent
-        return int(min(max(48, 4 * math.ceil(pixels)), 1024))
+        return angle * (1.0 + math.tan(self._half_diagonal_rad) ** 2) / self.display.pixel_tangent
