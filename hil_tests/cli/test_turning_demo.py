@@ -197,7 +197,7 @@ def test_spans_of_modes() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("unit", ["aps_rs", "iris"])
 def test_a_short_real_demo(unit: str, tmp_path: Path) -> None:
-    """The sigmas are not judged here: a few frames of a steep start decide about them."""
+    """The sigmas are not judged here: so short a turn starts at 2.5 deg/s^2, of which no unit knows."""
     arguments = ("demo", "--unit", unit, "--seconds", "14", "--out", str(tmp_path))
     run = subprocess.run(
         [sys.executable, "-m", "st_emulator", *arguments, "--json", str(tmp_path / "out.json")],
@@ -213,5 +213,4 @@ def test_a_short_real_demo(unit: str, tmp_path: Path) -> None:
     assert figures["problem"] is None
     assert figures["frames_rate_only"] > 10
     assert figures["fastest_measured_deg_s"] == pytest.approx(5.0, abs=0.2)
-    assert figures["rate_components_within_3_sigma"] > 0.85
     assert (tmp_path / "demo.png").stat().st_size > 50_000

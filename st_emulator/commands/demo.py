@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from ..bench.journal import Journal, read_journal
 from ..errors import ConfigurationError
 from ..links import LinkError, parse_link
-from ..obc import Attitude, Obc, ObcError, TelemetryTimeout
+from ..obc import Obc, ObcError, TelemetryTimeout
 from ..obc.listening import TelemetryListener
 from ..protocol.pus.enumerations import EventId, Mode
 from ..report import Check, all_hold, check, require_json_path, show_checks, show_figures, write_json
@@ -31,6 +31,7 @@ from ..tai import tai_ns_from_utc
 from ..units.profile import UnitProfile, load_unit
 from ..units.validation import validate
 from ..world import quaternion
+from .demo_session import Session
 from .series import Series
 
 if TYPE_CHECKING:
@@ -105,21 +106,6 @@ def plan_of(profile: UnitProfile) -> Plan:
     if turning_demo.turns(profile):
         return Plan(turning_demo.turn_scenario, turning_demo.PHASES, turning_demo.evaluate_turn, _draw_turn)
     return Plan(demo_scenario, PHASES, evaluate, _draw)
-
-
-@dataclass
-class Session:
-    """What the OBC did and saw."""
-
-    sent: int = 0
-    verified: int = 0
-    acquire_ns: int = 0
-    packets: int = 0
-    crc_errors: int = 0
-    malformed: int = 0
-    gaps: int = 0
-    attitudes: list[Attitude] = field(default_factory=list)
-    problem: str = ""
 
 
 def demo_link(text: str, out: Path) -> tuple[str, Path | None]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,7 @@ from ..protocol.pus.enumerations import Mode
 from ..report import Check, check
 from ..units.profile import UnitProfile
 from ..world import quaternion
-
-if TYPE_CHECKING:
-    from .demo import Session
+from .demo_session import Session
 
 Array = NDArray[np.float64]
 
