@@ -25,6 +25,7 @@ KEYS = {
     "detection": {"share_detected_at_limit", "false_clusters_per_frame", "by_magnitude"},
     "earth-rate": {"rate_error_deg_s", "rate_deg_s", "right_ascension_drift_deg_s"},
     "false-stars": {"best", "rows", "timing"},
+    "iris-tables": {"cases", "laws"},
     "lost-in-space": {"eligible", "right", "wrong", "unsolved", "coverage"},
     "star-quadruples": {"identified", "quadruples"},
     "tracking-rate": {"held_at_rate", "lost_over_rate", "back_in_time", "by_direction"},
@@ -43,8 +44,9 @@ SMALL = {
     "zy3-centroids": 2,
     "zy3-table3": 5,
 }
-# One attitude is 262 runs of up to 60 images; hil_tests/campaigns/test_aps.py has them with fewer directions.
-LONG = {"aps", "aps-best"}
+# One attitude is 262 runs of up to 60 images, one run of the display a hundred; hil_tests/campaigns has them with
+# fewer.
+LONG = {"aps", "aps-best", "iris-tables"}
 
 
 def run(command, name: str, *more: str) -> tuple[int, dict]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 
@@ -25,13 +26,17 @@ identify_below_deg_s = 3.0
 """
 
 
+# A unit with a rolling shutter and with no section of its own.
+PLAIN = re.sub(r"(?ms)^\[rate\]\n.*?(?=^\[)", "", unit_text("aps_rs")[1])
+
+
 def configuration(text: str) -> FirmwareConfiguration:
     profile = parse_unit(text, "unit.toml")
     return firmware_configuration(profile, default_parameters(profile))
 
 
 def test_every_key_reaches_the_firmware() -> None:
-    found = configuration(unit_text("aps_rs")[1] + SECTION)
+    found = configuration(PLAIN + SECTION)
     assert found.rate is not None
     assert found.rate.fusion_distance_px == 2.0
     assert found.detection.piece_gap_px == 4
@@ -69,7 +74,7 @@ def test_without_the_section_nothing_is_kept(name: str) -> None:
 def test_a_bad_value_is_named_with_what_is_allowed(key: str, value: str, said: str) -> None:
     lines = [f"{key} = {value}" if line.startswith(f"{key} =") else line for line in SECTION.splitlines()]
     with pytest.raises(ConfigurationError) as raised:
-        parse_unit(unit_text("aps_rs")[1] + "\n".join(lines), "unit.toml")
+        parse_unit(PLAIN + "\n".join(lines), "unit.toml")
     assert "unit.toml" in str(raised.value)
     assert f"rate.{key}" in str(raised.value)
     assert said in str(raised.value)
@@ -78,4 +83,4 @@ def test_a_bad_value_is_named_with_what_is_allowed(key: str, value: str, said: s
 def test_the_rate_below_which_stars_are_identified_is_required() -> None:
     text = SECTION.replace("identify_below_deg_s = 3.0\n", "")
     with pytest.raises(ConfigurationError, match=r"rate\.identify_below_deg_s"):
-        parse_unit(unit_text("aps_rs")[1] + text, "unit.toml")
+        parse_unit(PLAIN + text, "unit.toml")

@@ -11,13 +11,14 @@ from unittest.mock import patch
 
 from st_emulator.device import imaging, parameters
 from st_emulator.dialects.pus.transmission import Transmitter
-from st_emulator.firmware_model import firmware, frame_search
+from st_emulator.firmware_model import firmware, frame_search, full_frame_search
 from st_emulator.world.scene import RenderedFrame
 
 STAGES: tuple[tuple[str, object, str], ...] = (
     ("render", RenderedFrame, "full"),
     ("render", RenderedFrame, "windows"),
-    ("detect", firmware, "detect"),
+    ("detect", full_frame_search, "detect"),
+    ("detect", full_frame_search, "detect_clusters"),
     ("detect", firmware, "detect_in_windows"),
     ("identify", firmware, "plan_windows"),
     ("identify", firmware, "verify_by_pivot"),
