@@ -217,8 +217,10 @@ def _at_frame_time(
         tolerance_px=parameters.tolerance_px,
         min_stars=parameters.min_stars,
     )
+    change = np.zeros(3)
     if measured is not None:
         rate: FloatArray | None = measured.rate_rad_s
+        change = measured.change_rad_s2
     else:
         recent = 0 < context.t_mid_ns - state.rate_t_ns <= configuration.solved_validity_ns
         rate = state.rate_rad_s if recent else None
@@ -233,6 +235,7 @@ def _at_frame_time(
         timing=timing,
         geometry=geometry,
         least_speed_px_s=parameters.least_speed_px_s,
+        change_rad_s2=change,
     )
     return replace(found, spots=moved_spots(found.spots, places))
 

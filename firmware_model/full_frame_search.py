@@ -202,6 +202,7 @@ def star_motion_of(
             timing=timing,
             geometry=geometry,
             least_speed_px_s=parameters.least_speed_px_s,
+            change_rad_s2=rate.change_rad_s2,
         )
     else:
         places = log.run(

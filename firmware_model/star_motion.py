@@ -114,7 +114,10 @@ def rate_of_fusion(
     """
     first, second = before.spots.take(fusion.before), now.spots.take(fusion.now)
     interval_s = intervals(first.y_px, second.y_px, timing)
-    return _rate_between(first, second, interval_s, timing, geometry, centroid_error, tolerance_px, min_stars)
+    later_s = timing.row_time_s * (0.5 * (first.y_px + second.y_px) - timing.middle_row)
+    return _rate_between(
+        first, second, interval_s, later_s, timing, geometry, centroid_error, tolerance_px, min_stars
+    )
 
 
 def rate_of_windows(
@@ -140,9 +143,10 @@ def rate_of_windows(
     star = np.flatnonzero((stars[window] == 1) & (first_of[window] >= 0))
     second = found.spots.take(first_of[window[star]])
     first = replace(second, x_px=x_px[star], y_px=y_px[star])
-    interval_s = timing.period_s - timing.until_reference_s(second.y_px)
+    until_s = timing.until_reference_s(second.y_px)
+    interval_s, later_s = timing.period_s - until_s, -0.5 * until_s
     rate, work = _rate_between(
-        first, second, interval_s, timing, geometry, centroid_error, tolerance_px, min_stars
+        first, second, interval_s, later_s, timing, geometry, centroid_error, tolerance_px, min_stars
     )
     work.add("window_stars_paired", len(window))
     return rate, work
@@ -152,13 +156,16 @@ def _rate_between(
     first: Spots,
     second: Spots,
     interval_s: FloatArray,
+    later_s: FloatArray,
     timing: RowTiming,
     geometry: CameraGeometry,
     centroid_error: CentroidError,
     tolerance_px: float,
     min_stars: int,
 ) -> tuple[StarRate | None, Work]:
-    """Rate of pairs of spots: first[i] and second[i] are one star, interval_s[i] apart."""
+    """Rate of pairs of spots: first[i] and second[i] are one star, interval_s[i] apart, and the middle of
+    that time is later_s[i] after the middle of the frames' times.
+    """
     then, steps_then = geometry.counted_unit_vectors(first.x_px, first.y_px)
     later, steps_later = geometry.counted_unit_vectors(second.x_px, second.y_px)
     moved = np.hypot(second.x_px - first.x_px, second.y_px - first.y_px)
@@ -170,6 +177,7 @@ def _rate_between(
         then,
         later,
         interval_s,
+        later_s,
         np.hypot(along_1, along_2) / focal,
         np.hypot(across_1, across_2) / focal,
         tolerance_px / focal,
@@ -194,8 +202,11 @@ def places_by_rate(
     timing: RowTiming,
     geometry: CameraGeometry,
     least_speed_px_s: float,
+    change_rad_s2: FloatArray,
 ) -> tuple[tuple[FloatArray, FloatArray], Work]:
     """Places of all spots at the frame's time: each turned by the rate from its row's time, exactly.
+
+    rate_rad_s: of half a period before the frame's time, since when it changes by change_rad_s2.
 
     A rate under ``least_speed_px_s`` (across the boresight or about it at the corner of the image) leaves
     them as they are.
@@ -204,7 +215,10 @@ def places_by_rate(
     if timing.row_time_s == 0.0 or not len(x_px) or speed < least_speed_px_s:
         return (x_px, y_px), Work()
     vectors, steps = geometry.counted_unit_vectors(x_px, y_px)
-    x, y, ahead = geometry.project(turned_later(vectors, rate_rad_s, timing.until_reference_s(y_px)))
+    turned = turned_later(
+        vectors, rate_rad_s, timing.until_reference_s(y_px), change_rad_s2, 0.5 * timing.period_s
+    )
+    x, y, ahead = geometry.project(turned)
     x, y = np.where(ahead, x, x_px), np.where(ahead, y, y_px)
     work = {"directions_begun": 1, "unit_vectors": len(x), "newton_steps": steps, "spots_turned": len(x)}
     return (x, y), Work(work)
