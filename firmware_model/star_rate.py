@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from .work import Work
 
-__all__ = ["StarRate", "rate_of_pairs", "turned_later"]
+__all__ = ["StarRate", "bend_s2", "rate_of_pairs", "turned_later"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -30,6 +30,9 @@ DEGENERATE_INFORMATION_RATIO = 1e-8
 # ASSUMED: 1 sigma of each axis, before anything is measured: 5 deg/s are reached in 5 s. Faster changes are
 # measured all the same where there are more than a few stars.
 EXPECTED_CHANGE_RAD_S2 = math.radians(1.0)
+# ASSUMED: 1 sigma of each axis, of the change of that change, which is not estimated: a ramp to 5 deg/s in 10 s
+# by half a versine begins with half of it, one in 4 s with three times as much.
+EXPECTED_JERK_RAD_S3 = math.radians(0.5)
 # ASSUMED: a change counts where chance gives one as large in 0.27 % of frames (chi^2 of three axes), so that
 # the places of the stars are not moved by noise.
 SIGNIFICANT_CHANGE = 14.156
@@ -62,6 +65,7 @@ def rate_of_pairs(
     later_s: FloatArray,
     along_rad: FloatArray,
     across_rad: FloatArray,
+    common_rad_s: float,
     tolerance_rad: float,
     min_stars: int,
 ) -> tuple[StarRate | None, Work]:
@@ -71,6 +75,7 @@ def rate_of_pairs(
         shutter each star has its own. later_s: float64[n], the middle of that time after the one that the
         rate is asked for. along_rad, across_rad: float64[n], expected errors of now - before
         along the star's motion and across it, 1 sigma: a streak's end is less sharp than its side.
+    common_rad_s: error of all pairs' rates alike, 1 sigma of each axis, which no number of stars makes less.
     The pair that fits worst (most sigmas off) is dropped while it is over ``tolerance_rad`` and over 3 sigma
     on either axis. ASSUMED: at most a third; more, and the rest is not to be trusted either.
     Where chi^2 is over its degrees of freedom the covariance is scaled by it.
@@ -88,6 +93,7 @@ def rate_of_pairs(
         np.ascontiguousarray(later_s, np.float64),
         np.ascontiguousarray(along_rad, np.float64),
         np.ascontiguousarray(across_rad, np.float64),
+        common_rad_s,
         tolerance_rad,
         least,
         kept,
@@ -112,6 +118,7 @@ def _rate_kernel(
     later_s: FloatArray,
     along_rad: FloatArray,
     across_rad: FloatArray,
+    common_rad_s: float,
     tolerance_rad: float,
     least: int,
     kept: npt.NDArray[np.bool_],
@@ -203,6 +210,7 @@ def _rate_kernel(
         change[m] = 2.0 * growth[m] / mean_s if counts else 0.0
         for n in range(3):
             covariance[m, n] *= scale
+        covariance[m, m] += common_rad_s * common_rad_s
     return True, chi_square
 
 
@@ -295,22 +303,34 @@ def _solve(
     return True, significance
 
 
+def bend_s2(later_s: FloatArray, exposure_s: float) -> FloatArray:
+    """What a jerk adds to the rate of each pair, over the jerk, float64[n].
+
+    later_s^2 / 2 for the pair's time; exposure_s^2 / 24 as a star's mean place in an exposure is not that of
+    its middle, for pairs that follow each other without a gap: their rate is the mean over a triangle of two
+    exposures, not over the time between their middles.
+    """
+    return np.asarray(0.5 * later_s * later_s + exposure_s * exposure_s / 24.0)
+
+
 def turned_later(
     vectors: FloatArray,
     rate_rad_s: FloatArray,
     interval_s: FloatArray,
     change_rad_s2: FloatArray | None = None,
     since_s: float = 0.0,
+    exposure_s: float = 0.0,
 ) -> FloatArray:
     """Where stars stand in sensor axes so much later (negative: earlier), float64[n, 3]: by the full turn.
 
     vectors: float64[n, 3] unit vectors; interval_s: float64[n]. The rate changes by change_rad_s2[3], and all
-    the intervals end since_s after it was rate_rad_s.
+    the intervals end since_s after it was rate_rad_s. The vectors are means over exposure_s: where the rate
+    changes, a star's mean place is change exposure_s^2 / 24 from that in the middle of the exposure.
     """
     turned = np.empty((len(vectors), 3))
     change = np.zeros(3) if change_rad_s2 is None else change_rad_s2
     _turn_kernel(
-        np.ascontiguousarray(vectors, np.float64), rate_rad_s, change, since_s, interval_s, turned
+        np.ascontiguousarray(vectors, np.float64), rate_rad_s, change, since_s, exposure_s, interval_s, turned
     )
     return turned
 
@@ -321,10 +341,12 @@ def _turn_kernel(
     rate_rad_s: FloatArray,
     change_rad_s2: FloatArray,
     since_s: float,
+    exposure_s: float,
     interval_s: FloatArray,
     turned: FloatArray,
 ) -> None:
     """Cayley again: u' (1 + p.p) = (1 - p.p) u - 2 p x u + 2 p (p.u), p = omega dt / 2."""
+    beside = exposure_s * exposure_s / 48.0
     for i in range(len(vectors)):
         half = 0.5 * interval_s[i]
         later = since_s - half
@@ -334,7 +356,9 @@ def _turn_kernel(
         # tan(a) = a + a^3 / 3: to 1e-10 of the turn where it is under 1 deg
         square = half * half * (rate_x * rate_x + rate_y * rate_y + rate_z * rate_z)
         half *= 1.0 + square / 3.0
-        px, py, pz = rate_x * half, rate_y * half, rate_z * half
+        px = rate_x * half - beside * change_rad_s2[0]
+        py = rate_y * half - beside * change_rad_s2[1]
+        pz = rate_z * half - beside * change_rad_s2[2]
         x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         pp = px * px + py * py + pz * pz
         pu = 2.0 * (px * x + py * y + pz * z)
