@@ -31,8 +31,8 @@ DEGENERATE_INFORMATION_RATIO = 1e-8
 # measured all the same where there are more than a few stars.
 EXPECTED_CHANGE_RAD_S2 = math.radians(1.0)
 # ASSUMED: 1 sigma of each axis, of the change of that change, which is not estimated: a ramp to 5 deg/s in 10 s
-# by half a versine begins with half of it, one in 4 s with three times as much.
-EXPECTED_JERK_RAD_S3 = math.radians(0.5)
+# by half a versine begins with a third of it, one in 4 s with twice as much.
+EXPECTED_JERK_RAD_S3 = math.radians(0.75)
 # ASSUMED: a change counts where chance gives one as large in 0.27 % of frames (chi^2 of three axes), so that
 # the places of the stars are not moved by noise.
 SIGNIFICANT_CHANGE = 14.156
