@@ -216,13 +216,14 @@ def _window_rate(
     configuration: FirmwareConfiguration,
     log: FrameLog,
 ) -> StarRate | None:
-    """The rate since the frame directly before, by the spots of windows of a single star."""
+    """The rate since the frame processed before, by the spots of windows of a single star."""
     parameters, before = configuration.rate, state.tracked
-    if parameters is None or before is None or before.frame_index != context.frame_index - 1:
+    if parameters is None or before is None:
         return None
-    interval_s = (context.t_mid_ns - before.t_mid_ns) * 1e-9
-    if interval_s <= 0.0:
+    interval_ns = context.t_mid_ns - before.t_mid_ns
+    if not 0 < interval_ns <= configuration.solved_validity_ns:
         return None
+    interval_s = interval_ns * 1e-9
     geometry = configuration.geometry
     timing = RowTiming(context.row_time_s, context.exposure_ns * 1e-9, interval_s, geometry.height_px)
     return log.run(
@@ -431,6 +432,12 @@ def _conclude(
         rate, rate_covariance = outcome.star_rate.rate_rad_s, outcome.star_rate.covariance_rad2_s2
         if solution is not None and _too_fast(rate, rate_covariance, configuration, log):
             reasons |= Reason.RATE_TOO_HIGH
+        # Faster than the windows are made for, their sides cut streaks, all on the same side: the rate is too
+        # high, but it is not this one; and where no attitude fits the spots of the windows, nor need they be
+        # the stars'.
+        most = configuration.tracking.rate_rad_s * (1.0 + configuration.tracking.rate_margin)
+        if tracking and (solution is None or float(rate @ rate) > most * most):
+            rate = rate_covariance = None
     valid = reasons == Reason.NONE
     if configuration.rate is not None:
         state = _with_rate(state, rate, rate_covariance, context, outcome)

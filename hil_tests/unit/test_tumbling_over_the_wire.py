@@ -128,7 +128,7 @@ def beside_the_truth(packets: list[dict], truth: list[dict]) -> list[Told]:
             continue
         fields = packet["fields"]
         index = fields["frame_index"]
-        now, before = true[index], true.get(index - 1)
+        now, before = true[index], true.get(index - 1 - fields["frames_dropped_before"])
         if before is None:
             assert not fields["rate_valid"], "nothing was exposed before"
             before = now | {"exposure_mid_ns": 0}
@@ -165,11 +165,15 @@ def share_within_3_sigma(told: list[Told]) -> float:
     return float(np.mean((np.abs(errors_of(told)) < 3.0).all(axis=1)))
 
 
-@pytest.mark.parametrize("unit", ["aps_rs", "iris"])
 @pytest.mark.parametrize(
-    "segments",
-    [[ramps(5.0, 6.0, 1.0, AXIS)], SEVERAL_AXES],
-    ids=["0 to 5 to 0 deg/s", "about several axes"],
+    ("unit", "segments"),
+    [
+        ("aps_rs", [ramps(5.0, 10.0, 2.0, AXIS)]),
+        ("iris", [ramps(5.0, 6.0, 1.0, AXIS)]),
+        ("aps_rs", SEVERAL_AXES),
+        ("iris", SEVERAL_AXES),
+    ],
+    ids=["aps_rs 0 to 5 to 0 deg/s", "iris 0 to 5 to 0 deg/s", "aps_rs several axes", "iris several axes"],
 )
 def test_spun_up_and_down(unit: str, segments: list[dict[str, Any]], tmp_path: Path) -> None:
     told = beside_the_truth(*reports_of(unit, segments, tmp_path / "unit"))
