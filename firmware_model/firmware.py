@@ -416,9 +416,9 @@ def _conclude(
                 rate,
                 rate_work,
             )
-        # Of a unit that measures the rate of stars it is asked for since the frame before, not since any other.
-        # ASSUMED: after it was lost once, tracking waits for it: a unit that turns too fast would else go to and
-        # fro. The first attitude of all is taken for one at rest.
+        # Of a unit that measures the rate of stars it is since the frame before, not since any other.
+        # ASSUMED: after it was lost once, tracking waits for it: a unit that turns too fast would else go to
+        # and fro. The first attitude of all is taken for one at rest.
         rate_unknown = rate is None and outcome.star_rate is None and state.solved is not None
         if configuration.rate is not None and not tracking:
             rate = rate_covariance = None

@@ -223,8 +223,8 @@ def rate_from_directions(
     of the shift. foreseen_rad_s: a rate that says which way the shifts go; without it each goes its own,
     which makes short ones look longer than they are where the two weights differ. Stars whose residual is
     over OUTLIER_SIGMA of the spread go, at most a third of them. The covariance is that of the weights times
-    the spread about them, shrunk towards 1 (PRIOR_DEGREES) and never less. None: fewer than two stars, or all in one
-    direction.
+    the spread about them, shrunk towards 1 (PRIOR_DEGREES) and never less. None: fewer than two stars, or all
+    in one direction.
     """
     work = Work()
     count = len(before)

@@ -129,10 +129,8 @@ def rate_of_fusion(
     return _rate_of_spots(first, second, timing, geometry, centroid_error, tolerance_px, min_stars)
 
 
-def single_spots(
-    window: IntArray, found: WindowSpots
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Stars of windows that are theirs alone (place in ``window``, ascending), and the brightest spots there."""
+def single_spots(window: IntArray, found: WindowSpots) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Stars of windows that are theirs alone (place in ``window``, ascending), and the brightest spots."""
     stars = np.bincount(window, minlength=int(window.max(initial=-1)) + 1)
     first_of = np.full(len(stars), -1, np.int64)
     windows, firsts = np.unique(found.window, return_index=True)  # within a window brightest first

@@ -30,8 +30,8 @@ DEGENERATE_INFORMATION_RATIO = 1e-8
 # ASSUMED: 1 sigma of each axis, before anything is measured: 5 deg/s are reached in 5 s. Faster changes are
 # measured all the same where there are more than a few stars.
 EXPECTED_CHANGE_RAD_S2 = math.radians(1.0)
-# ASSUMED: 1 sigma of each axis, of the change of that change, which is not estimated: a ramp to 5 deg/s in 10 s
-# by half a versine begins with a third of it, one in 4 s with twice as much.
+# ASSUMED: 1 sigma of each axis, of the change of that change, which is not estimated: a ramp to 5 deg/s in
+# 10 s by half a versine begins with a third of it, one in 4 s with twice as much.
 EXPECTED_JERK_RAD_S3 = math.radians(0.75)
 # ASSUMED: a change counts where chance gives one as large in 0.27 % of frames (chi^2 of three axes), so that
 # the places of the stars are not moved by noise.
@@ -179,7 +179,9 @@ def _rate_kernel(
         for i in range(count):
             for m in range(3):
                 turn[m] = p[m] + later_s[i] * growth[m]
-            off_along = seen[i] - (rows[i, 0, 0] * turn[0] + rows[i, 0, 1] * turn[1] + rows[i, 0, 2] * turn[2])
+            off_along = seen[i] - (
+                rows[i, 0, 0] * turn[0] + rows[i, 0, 1] * turn[1] + rows[i, 0, 2] * turn[2]
+            )
             off_across = rows[i, 1, 0] * turn[0] + rows[i, 1, 1] * turn[1] + rows[i, 1, 2] * turn[2]
             off = off_along * off_along + off_across * off_across
             along, across = off_along * along_rad[i], off_across * across_rad[i]
@@ -277,7 +279,9 @@ def _solve(
     share, rest, inverse = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for m in range(3):
         for n in range(3):
-            share[m, n] = alone[m, 0] * of_both[0, n] + alone[m, 1] * of_both[1, n] + alone[m, 2] * of_both[2, n]
+            share[m, n] = (
+                alone[m, 0] * of_both[0, n] + alone[m, 1] * of_both[1, n] + alone[m, 2] * of_both[2, n]
+            )
     for m in range(3):
         right_growth[m] -= share[0, m] * right[0] + share[1, m] * right[1] + share[2, m] * right[2]
         for n in range(m, 3):
@@ -288,7 +292,9 @@ def _solve(
     significance = 0.0
     for m in range(3):
         growth[m] = (
-            inverse[m, 0] * right_growth[0] + inverse[m, 1] * right_growth[1] + inverse[m, 2] * right_growth[2]
+            inverse[m, 0] * right_growth[0]
+            + inverse[m, 1] * right_growth[1]
+            + inverse[m, 2] * right_growth[2]
         )
         significance += growth[m] * right_growth[m]
     for m in range(3):

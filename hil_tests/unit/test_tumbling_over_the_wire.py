@@ -46,7 +46,9 @@ def ramps(most_deg_s: float, ramp_s: float, hold_s: float, axis: Array) -> dict[
 def steps() -> list[dict[str, Any]]:
     """Up and down at once, by 1 deg/s, constant between."""
     rates = (1.0, 2.0, 3.0, 4.0, 5.0, 4.0, 3.0, 2.0, 1.0)
-    return [{"kind": "rate", "duration_s": 1.6, "rate_deg_s": (r * AXIS).tolist(), "ramp_s": 0.0} for r in rates]
+    return [
+        {"kind": "rate", "duration_s": 1.6, "rate_deg_s": (r * AXIS).tolist(), "ramp_s": 0.0} for r in rates
+    ]
 
 
 SEVERAL_AXES = [
