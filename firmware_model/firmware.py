@@ -26,7 +26,7 @@ from .modes import Mode, ModeEvent
 from .reasons import Reason
 from .star_motion import TrackedStars, moved_spots, places_by_rate, rate_of_windows, single_spots
 from .star_rate import StarRate
-from .tracking import TrackingPlan, plan_windows, verify_by_pivot
+from .tracking import TrackingPlan, ahead_by_rate, plan_windows, verify_by_pivot
 from .work import Work
 
 __all__ = [
@@ -92,14 +92,31 @@ def _track(
     assert state.q_icrs_to_sensor is not None
     interval_s = abs(context.t_mid_ns - state.t_ns) * 1e-9
     exposure_s = context.exposure_ns * 1e-9
+    start, planned = state.q_icrs_to_sensor, parameters
+    # a rate of the same frame as the attitude: it leads on from there
+    rate, covariance = state.rate_rad_s, state.rate_covariance_rad2_s2
+    known = rate is not None and covariance is not None and state.rate_t_ns == state.t_ns
+    if parameters.windows_by_rate and known:
+        assert rate is not None
+        assert covariance is not None
+        start, planned = ahead_by_rate(
+            start,
+            rate,
+            covariance,
+            parameters,
+            geometry,
+            interval_s,
+            context.row_time_s * (geometry.height_px - 1),
+            exposure_s,
+        )
     plan = log.run(
         "plan",
         plan_windows,
-        q_icrs_to_sensor=state.q_icrs_to_sensor,
+        q_icrs_to_sensor=start,
         pivot_star=state.pivot,
         catalogue=tables.catalogue,
         geometry=geometry,
-        parameters=parameters,
+        parameters=planned,
         interval_s=interval_s,
         exposure_s=exposure_s,
         velocity_over_c=velocity,
@@ -119,9 +136,9 @@ def _track(
         height_px=geometry.height_px,
         keep=keep,
     )
-    rate = _window_rate(found, plan, context, state, configuration, log)
+    measured_rate = _window_rate(found, plan, context, state, configuration, log)
     tracked = _tracked_stars(found, plan, context, configuration)
-    found = _at_frame_time(found, rate, context, state, configuration, log)
+    found = _at_frame_time(found, measured_rate, context, state, configuration, log)
     spots = found.spots
     blank = SearchOutcome(
         Reason.NONE,
@@ -130,7 +147,7 @@ def _track(
         half_width_px=plan.half_width_px,
         plan=plan,
         tracked=tracked,
-        star_rate=rate,
+        star_rate=measured_rate,
     )
     if spots.background_dn > configuration.blinded_background_dn:
         return replace(blank, reasons=Reason.BLINDED)
@@ -193,7 +210,7 @@ def _track(
         half_width_px=plan.half_width_px,
         plan=plan,
         tracked=tracked,
-        star_rate=rate,
+        star_rate=measured_rate,
         false_solutions=float(chance),
     )
 
@@ -420,7 +437,7 @@ def _conclude(
         # ASSUMED: after it was lost once, tracking waits for it: a unit that turns too fast would else go to
         # and fro. The first attitude of all is taken for one at rest.
         rate_unknown = rate is None and outcome.star_rate is None and state.solved is not None
-        if configuration.rate is not None and not tracking:
+        if configuration.rate is not None and (not tracking or state.missed > 0):
             rate = rate_covariance = None
         state = replace(
             state,

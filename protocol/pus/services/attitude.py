@@ -32,10 +32,9 @@ SERVICE = ServiceDefinition(
             "in mode RATE_ONLY it is all that is known. It is the mean from the mid-exposure of the frame "
             "processed before to that of this one: the turn between the two attitudes over the time between "
             "them. A unit that measures no rate of stars gives it from the last valid attitude on, in "
-            "LOST_IN_SPACE from the last one solved; the others do so in TRACKING where the frame before "
-            "shows too few of the stars. A rate that jumps within an exposure counts for as much of it as "
-            "it lasts. Where the attitude is not valid the last valid one is repeated; a covariance or rate "
-            "that is not valid is sent as 0.",
+            "LOST_IN_SPACE from the last one solved. A rate that jumps within an exposure counts for as "
+            "much of it as it lasts. Where the attitude is not valid the last valid one is repeated; a "
+            "covariance or rate that is not valid is sent as 0.",
             (
                 Field("frame_index", UINT32, meaning="index of the frame, from 0 at power-on"),
                 Field(
