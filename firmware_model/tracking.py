@@ -3,7 +3,7 @@
 The six steps of Sarvi et al. 2014 ("Tracking sequence"): neighbours of the pivot from the catalogue; those
 that can be in the image, by the last attitude and the four planes of the field, each with a window; a new
 image; centroids inside the windows only; the angles between the pivot and each other found star against the
-catalogue; attitude. No rate is given, and none is used to place a window, but where a unit asks for it (not Sarvi).
+catalogue; attitude. No rate is given, and none is used to place a window, but where a unit asks for it.
 """
 
 from __future__ import annotations
