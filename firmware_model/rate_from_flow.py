@@ -179,8 +179,7 @@ def _solve(
                 order[place] = order[place - 1]
                 place -= 1
             order[place] = star
-        # of Student's distribution of so many degrees, whose variance is wider than that of its squares
-        spread = max((PRIOR_DEGREES + squares) / (PRIOR_DEGREES + max(degrees, 0) - 2.0), 1.0)
+        spread = max((PRIOR_DEGREES + squares) / (PRIOR_DEGREES + max(degrees, 0)), 1.0)
         median = 0.5 * (residual[order[(count - 1) // 2]] + residual[order[count // 2]])
         limit = OUTLIER_SIGMA * math.sqrt(2.0 * max(median * median / RAYLEIGH_MEDIAN, LEAST_VARIANCE))
         changed = False
