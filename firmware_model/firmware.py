@@ -24,8 +24,9 @@ from .image.spots import Spots, WindowSpots, WindowStatus
 from .image.windows import detect_in_windows
 from .modes import Mode, ModeEvent
 from .reasons import Reason
-from .star_motion import moved_spots, places_by_rate, rate_of_windows
-from .tracking import TrackingPlan, plan_windows, verify_by_pivot
+from .star_motion import TrackedStars, moved_spots, places_by_rate, rate_of_windows, single_spots
+from .star_rate import StarRate
+from .tracking import TrackingPlan, ahead_by_rate, plan_windows, verify_by_pivot
 from .work import Work
 
 __all__ = [
@@ -91,14 +92,31 @@ def _track(
     assert state.q_icrs_to_sensor is not None
     interval_s = abs(context.t_mid_ns - state.t_ns) * 1e-9
     exposure_s = context.exposure_ns * 1e-9
+    start, planned = state.q_icrs_to_sensor, parameters
+    # a rate of the same frame as the attitude: it leads on from there
+    rate, covariance = state.rate_rad_s, state.rate_covariance_rad2_s2
+    known = rate is not None and covariance is not None and state.rate_t_ns == state.t_ns
+    if parameters.windows_by_rate and known:
+        assert rate is not None
+        assert covariance is not None
+        start, planned = ahead_by_rate(
+            start,
+            rate,
+            covariance,
+            parameters,
+            geometry,
+            interval_s,
+            context.row_time_s * (geometry.height_px - 1),
+            exposure_s,
+        )
     plan = log.run(
         "plan",
         plan_windows,
-        q_icrs_to_sensor=state.q_icrs_to_sensor,
+        q_icrs_to_sensor=start,
         pivot_star=state.pivot,
         catalogue=tables.catalogue,
         geometry=geometry,
-        parameters=parameters,
+        parameters=planned,
         interval_s=interval_s,
         exposure_s=exposure_s,
         velocity_over_c=velocity,
@@ -118,9 +136,19 @@ def _track(
         height_px=geometry.height_px,
         keep=keep,
     )
-    found = _at_frame_time(found, plan, context, state, configuration, interval_s, log)
+    measured_rate = _window_rate(found, plan, context, state, configuration, log)
+    tracked = _tracked_stars(found, plan, context, configuration)
+    found = _at_frame_time(found, measured_rate, context, state, configuration, log)
     spots = found.spots
-    blank = SearchOutcome(Reason.NONE, spots, rects=plan.rects, half_width_px=plan.half_width_px, plan=plan)
+    blank = SearchOutcome(
+        Reason.NONE,
+        spots,
+        rects=plan.rects,
+        half_width_px=plan.half_width_px,
+        plan=plan,
+        tracked=tracked,
+        star_rate=measured_rate,
+    )
     if spots.background_dn > configuration.blinded_background_dn:
         return replace(blank, reasons=Reason.BLINDED)
     b_vectors = directions(spots, configuration, log)
@@ -181,34 +209,45 @@ def _track(
         rects=plan.rects,
         half_width_px=plan.half_width_px,
         plan=plan,
+        tracked=tracked,
+        star_rate=measured_rate,
         false_solutions=float(chance),
     )
 
 
-def _at_frame_time(
+def _tracked_stars(
+    found: WindowSpots, plan: TrackingPlan, context: FrameContext, configuration: FirmwareConfiguration
+) -> TrackedStars | None:
+    """What the next frame measures the rate from: the spots of windows of a single star, in their pixels."""
+    if configuration.rate is None:
+        return None
+    star, spot = single_spots(plan.window, found)
+    return TrackedStars(context.frame_index, context.t_mid_ns, plan.star[star], found.spots.take(spot))
+
+
+def _window_rate(
     found: WindowSpots,
     plan: TrackingPlan,
     context: FrameContext,
     state: FirmwareState,
     configuration: FirmwareConfiguration,
-    interval_s: float,
     log: FrameLog,
-) -> WindowSpots:
-    """The spots of the windows as they stood at the frame's time, where the shutter is a rolling one.
-
-    The rate is that from the predicted places to the spots of windows of a single star; where too few of them
-    agree, the last one known.
-    """
-    parameters = configuration.rate
-    if parameters is None or parameters.compensation == "none" or context.row_time_s == 0.0:
-        return found
+) -> StarRate | None:
+    """The rate since the frame processed before, by the spots of windows of a single star."""
+    parameters, before = configuration.rate, state.tracked
+    if parameters is None or before is None:
+        return None
+    interval_ns = context.t_mid_ns - before.t_mid_ns
+    if not 0 < interval_ns <= configuration.solved_validity_ns:
+        return None
+    interval_s = interval_ns * 1e-9
     geometry = configuration.geometry
     timing = RowTiming(context.row_time_s, context.exposure_ns * 1e-9, interval_s, geometry.height_px)
-    measured = log.run(
+    return log.run(
         "window_rate",
         rate_of_windows,
-        x_px=plan.x_px,
-        y_px=plan.y_px,
+        before=before,
+        star=plan.star,
         window=plan.window,
         found=found,
         timing=timing,
@@ -217,8 +256,32 @@ def _at_frame_time(
         tolerance_px=parameters.tolerance_px,
         min_stars=parameters.min_stars,
     )
+
+
+def _at_frame_time(
+    found: WindowSpots,
+    measured: StarRate | None,
+    context: FrameContext,
+    state: FirmwareState,
+    configuration: FirmwareConfiguration,
+    log: FrameLog,
+) -> WindowSpots:
+    """The spots of the windows as they stood at the frame's time, where the shutter is a rolling one.
+
+    By the rate measured; where there is none, by the last one known.
+    """
+    parameters = configuration.rate
+    if parameters is None or parameters.compensation == "none" or context.row_time_s == 0.0:
+        return found
+    geometry = configuration.geometry
+    interval_s = (context.t_mid_ns - state.t_ns) * 1e-9
+    if state.tracked is not None:
+        interval_s = (context.t_mid_ns - state.tracked.t_mid_ns) * 1e-9
+    timing = RowTiming(context.row_time_s, context.exposure_ns * 1e-9, interval_s, geometry.height_px)
+    change = np.zeros(3)
     if measured is not None:
         rate: FloatArray | None = measured.rate_rad_s
+        change = measured.change_rad_s2
     else:
         recent = 0 < context.t_mid_ns - state.rate_t_ns <= configuration.solved_validity_ns
         rate = state.rate_rad_s if recent else None
@@ -233,6 +296,7 @@ def _at_frame_time(
         timing=timing,
         geometry=geometry,
         least_speed_px_s=parameters.least_speed_px_s,
+        change_rad_s2=change,
     )
     return replace(found, spots=moved_spots(found.spots, places))
 
@@ -292,7 +356,7 @@ def _with_rate(
     outcome: SearchOutcome,
 ) -> FirmwareState:
     """The state with what this frame leaves of its rate and its spots."""
-    state = replace(state, previous=outcome.kept)
+    state = replace(state, previous=outcome.kept, tracked=outcome.tracked)
     if rate is None:
         return state
     return replace(state, rate_rad_s=rate, rate_covariance_rad2_s2=covariance, rate_t_ns=context.t_mid_ns)
@@ -330,12 +394,14 @@ def _conclude(
     reasons = outcome.reasons
     rate: FloatArray | None = None
     rate_covariance: FloatArray | None = None
+    rate_unknown = False
     solution = outcome.attitude
     # What is not confirmed says nothing about the rate either: it would make a right attitude look fast.
     if solution is not None and not reasons & Reason.UNCONFIRMED:
         # In tracking the rate is that from the last valid attitude, which the windows are built on; in lost
         # in space that from the last solved one, so that a turn too fast for tracking is seen although
-        # nothing was valid.
+        # nothing was valid. A unit that measures the rate of stars takes that one: it is of the frame before,
+        # whenever the last attitude was, and free of what is wrong with two attitudes.
         before, covariance, t_before = state.q_icrs_to_sensor, state.covariance_rad2, state.t_ns
         if not tracking:
             before, covariance, t_before = state.solved, state.solved_covariance_rad2, state.solved_t_ns
@@ -343,6 +409,7 @@ def _conclude(
         if (
             before is not None
             and covariance is not None
+            and outcome.star_rate is None
             and 0 < interval_ns <= configuration.solved_validity_ns
         ):
             interval_s = interval_ns * 1e-9
@@ -366,6 +433,12 @@ def _conclude(
                 rate,
                 rate_work,
             )
+        # Of a unit that measures the rate of stars it is since the frame before, not since any other.
+        # ASSUMED: after it was lost once, tracking waits for it: a unit that turns too fast would else go to
+        # and fro. The first attitude of all is taken for one at rest.
+        rate_unknown = rate is None and outcome.star_rate is None and state.solved is not None
+        if configuration.rate is not None and (not tracking or state.missed > 0):
+            rate = rate_covariance = None
         state = replace(
             state,
             solved=solution.q_icrs_to_sensor,
@@ -376,6 +449,12 @@ def _conclude(
         rate, rate_covariance = outcome.star_rate.rate_rad_s, outcome.star_rate.covariance_rad2_s2
         if solution is not None and _too_fast(rate, rate_covariance, configuration, log):
             reasons |= Reason.RATE_TOO_HIGH
+        # Faster than the windows are made for, their sides cut streaks, all on the same side: the rate is too
+        # high, but it is not this one; and where no attitude fits the spots of the windows, nor need they be
+        # the stars'.
+        most = configuration.tracking.rate_rad_s * (1.0 + configuration.tracking.rate_margin)
+        if tracking and (solution is None or float(rate @ rate) > most * most):
+            rate = rate_covariance = None
     valid = reasons == Reason.NONE
     if configuration.rate is not None:
         state = _with_rate(state, rate, rate_covariance, context, outcome)
@@ -392,7 +471,7 @@ def _conclude(
             missed=0,
             fast=0,
         )
-        if outcome.still_assumed:
+        if outcome.still_assumed or (rate_unknown and not tracking and configuration.rate is not None):
             # The next image says how fast the unit turns; tracking begins with an attitude that knows it.
             after = context.acquisition if context.acquisition is Mode.RATE_ONLY else Mode.LOST_IN_SPACE
         elif context.acquisition in (Mode.LOST_IN_SPACE, Mode.RATE_ONLY):

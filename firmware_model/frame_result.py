@@ -12,7 +12,7 @@ from .identification.interface import Identification
 from .image.spots import Spots
 from .modes import Mode, ModeEvent
 from .reasons import Reason
-from .star_motion import KeptFrame
+from .star_motion import KeptFrame, TrackedStars
 from .tracking import TrackingPlan
 from .work import Work
 
@@ -64,6 +64,7 @@ class FirmwareState:
     solved_t_ns: int = 0
     missed: int = 0
     previous: KeptFrame | None = None
+    tracked: TrackedStars | None = None
     rate_rad_s: FloatArray | None = None
     rate_covariance_rad2_s2: FloatArray | None = None
     rate_t_ns: int = 0

@@ -17,7 +17,7 @@ from .identification.interface import Identification
 from .image.spots import Spots
 from .rate_from_flow import FlowRate
 from .reasons import Reason
-from .star_motion import KeptFrame
+from .star_motion import KeptFrame, TrackedStars
 from .star_rate import StarRate
 from .tracking import TrackingPlan
 from .work import Work
@@ -33,7 +33,8 @@ _NO_VELOCITY = np.zeros(3)
 class SearchOutcome:
     """What a search found, before the rate and the history are looked at.
 
-    kept: what the next frame may fuse with; star_rate: by this frame and the one before, without attitude.
+    kept: what the next frame may fuse with; tracked: the same of known stars alone; star_rate: by this frame
+    and the one before, without attitude.
     still_assumed: a rolling shutter's attitude as if the unit stood still; nothing follows for its rate.
     """
 
@@ -47,6 +48,7 @@ class SearchOutcome:
     identification: Identification | None = None
     false_solutions: float = math.inf
     kept: KeptFrame | None = None
+    tracked: TrackedStars | None = None
     star_rate: StarRate | FlowRate | None = None
     still_assumed: bool = False
 

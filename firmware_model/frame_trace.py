@@ -22,7 +22,7 @@ STEPS: Final = (
     "star_rate",  # rate of the fused spots, not identified
     "compensate",  # rolling shutter, by each spot's own motion
     "places_by_rate",  # rolling shutter, by the rate
-    "window_rate",  # the same of the windows' spots, from the predicted places
+    "window_rate",  # the same of the windows' spots, from those of the frame before
     "flow_light",  # full frame to lit pixels and stars, for the optical flow
     "flow",  # stars of the frame before followed into this one
     "flow_rate",  # rate of the followed stars

@@ -23,7 +23,15 @@ from .image.spots import Spots
 from .image.streaks import StreakTable, fuse, streak_table
 from .rate_from_flow import FlowRate, rate_by_flow
 from .reasons import Reason
-from .star_motion import KeptFrame, RateParameters, StarMotion, moved_spots, places_by_rate, rate_of_fusion
+from .star_motion import (
+    KeptFrame,
+    RateParameters,
+    StarMotion,
+    TrackedStars,
+    moved_spots,
+    places_by_rate,
+    rate_of_fusion,
+)
 from .work import Work
 
 __all__ = ["find", "measure_rate"]
@@ -114,7 +122,10 @@ def _find_moving(
     stars = np.arange(len(motion.spots), dtype=np.int32) if motion.fused is None else motion.fused
     stars = stars[: configuration.max_spots]
     outcome = identify_spots(motion.spots, stars, configuration, tables, velocity, log)
-    return replace(outcome, kept=kept, star_rate=rate, still_assumed=still_assumed)
+    stars_known = TrackedStars(
+        context.frame_index, context.t_mid_ns, outcome.stars.row, now.spots.take(outcome.stars.spot)
+    )
+    return replace(outcome, kept=kept, tracked=stars_known, star_rate=rate, still_assumed=still_assumed)
 
 
 def _find_flowing(
@@ -158,7 +169,10 @@ def _find_flowing(
         return SearchOutcome(refused, spots, kept=kept, star_rate=rate)
     stars = np.arange(min(len(spots), configuration.max_spots), dtype=np.int32)
     outcome = identify_spots(spots, stars, configuration, tables, velocity, log)
-    return replace(outcome, kept=kept, star_rate=rate)
+    stars_known = TrackedStars(
+        context.frame_index, context.t_mid_ns, outcome.stars.row, spots.take(outcome.stars.spot)
+    )
+    return replace(outcome, kept=kept, tracked=stars_known, star_rate=rate)
 
 
 def star_motion_of(
@@ -202,6 +216,7 @@ def star_motion_of(
             timing=timing,
             geometry=geometry,
             least_speed_px_s=parameters.least_speed_px_s,
+            change_rad_s2=rate.change_rad_s2,
         )
     else:
         places = log.run(

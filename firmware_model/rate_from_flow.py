@@ -179,7 +179,7 @@ def _solve(
                 order[place] = order[place - 1]
                 place -= 1
             order[place] = star
-        spread = (PRIOR_DEGREES + squares) / (PRIOR_DEGREES + max(degrees, 0))
+        spread = max((PRIOR_DEGREES + squares) / (PRIOR_DEGREES + max(degrees, 0)), 1.0)
         median = 0.5 * (residual[order[(count - 1) // 2]] + residual[order[count // 2]])
         limit = OUTLIER_SIGMA * math.sqrt(2.0 * max(median * median / RAYLEIGH_MEDIAN, LEAST_VARIANCE))
         changed = False
@@ -222,8 +222,8 @@ def rate_from_directions(
     of the shift. foreseen_rad_s: a rate that says which way the shifts go; without it each goes its own,
     which makes short ones look longer than they are where the two weights differ. Stars whose residual is
     over OUTLIER_SIGMA of the spread go, at most a third of them. The covariance is that of the weights times
-    the spread about them, shrunk towards 1 (PRIOR_DEGREES). None: fewer than two stars, or all in one
-    direction.
+    the spread about them, shrunk towards 1 (PRIOR_DEGREES) and never less. None: fewer than two stars, or all
+    in one direction.
     """
     work = Work()
     count = len(before)

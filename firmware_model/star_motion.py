@@ -19,13 +19,14 @@ from .image.rolling_shutter import COMPENSATIONS, RowTiming, intervals
 from .image.spots import Spots, WindowSpots
 from .image.streaks import Fusion, StreakTable
 from .rate_from_flow import FlowRate, FlowSettings
-from .star_rate import StarRate, rate_of_pairs, turned_later
+from .star_rate import EXPECTED_JERK_RAD_S3, StarRate, bend_s2, rate_of_pairs, turned_later
 from .work import Work
 
 __all__ = [
     "KeptFrame",
     "RateParameters",
     "StarMotion",
+    "TrackedStars",
     "moved_spots",
     "places_by_rate",
     "rate_of_fusion",
@@ -83,6 +84,18 @@ class KeptFrame:
 
 
 @dataclass(frozen=True)
+class TrackedStars:
+    """Where stars of a frame stand in its pixels, before anything is compensated: row int32[n] of the
+    catalogue, spots[n] of them.
+    """
+
+    frame_index: int
+    t_mid_ns: int
+    row: IntArray
+    spots: Spots
+
+
+@dataclass(frozen=True)
 class StarMotion:
     """The spots of a frame at its time, which of them are stars by the frame before, and their rate.
 
@@ -113,13 +126,22 @@ def rate_of_fusion(
     at its centroid in the middle of the exposure of the centroid's row.
     """
     first, second = before.spots.take(fusion.before), now.spots.take(fusion.now)
-    interval_s = intervals(first.y_px, second.y_px, timing)
-    return _rate_between(first, second, interval_s, timing, geometry, centroid_error, tolerance_px, min_stars)
+    return _rate_of_spots(first, second, timing, geometry, centroid_error, tolerance_px, min_stars)
+
+
+def single_spots(window: IntArray, found: WindowSpots) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Stars of windows that are theirs alone (place in ``window``, ascending), and the brightest spots."""
+    stars = np.bincount(window, minlength=int(window.max(initial=-1)) + 1)
+    first_of = np.full(len(stars), -1, np.int64)
+    windows, firsts = np.unique(found.window, return_index=True)  # within a window brightest first
+    first_of[windows] = firsts
+    star = np.flatnonzero((stars[window] == 1) & (first_of[window] >= 0))
+    return star, first_of[window[star]]
 
 
 def rate_of_windows(
-    x_px: FloatArray,
-    y_px: FloatArray,
+    before: TrackedStars,
+    star: IntArray,
     window: IntArray,
     found: WindowSpots,
     timing: RowTiming,
@@ -128,37 +150,33 @@ def rate_of_windows(
     tolerance_px: float,
     min_stars: int,
 ) -> tuple[StarRate | None, Work]:
-    """Rate from where the last attitude puts stars (x_px, y_px, in window) to the spots of their windows.
+    """Rate from the spots of stars in the frame before to those of the same stars' windows.
 
-    Windows of one star alone, and the brightest spot of each. ``timing.period_s``: since that attitude, which
-    is of its frame's time, so that only the spots have times of their rows.
+    star: int32[n], the catalogue row of each star of the plan, and its window. Windows of one star alone, and
+    the brightest spot of each. Pixels against pixels: from the places where an attitude puts the stars, its
+    error would become one of the rate, that one of the next places, and so from frame to frame.
     """
-    stars = np.bincount(window, minlength=int(window.max(initial=-1)) + 1)
-    first_of = np.full(len(stars), -1, np.int64)
-    windows, firsts = np.unique(found.window, return_index=True)  # within a window brightest first
-    first_of[windows] = firsts
-    star = np.flatnonzero((stars[window] == 1) & (first_of[window] >= 0))
-    second = found.spots.take(first_of[window[star]])
-    first = replace(second, x_px=x_px[star], y_px=y_px[star])
-    interval_s = timing.period_s - timing.until_reference_s(second.y_px)
-    rate, work = _rate_between(
-        first, second, interval_s, timing, geometry, centroid_error, tolerance_px, min_stars
-    )
+    alone, spot = single_spots(window, found)
+    place_of = {int(row): place for place, row in reversed(list(enumerate(before.row.tolist())))}
+    place = np.array([place_of.get(row, -1) for row in star[alone].tolist()], np.int64)
+    first, second = before.spots.take(place[place >= 0]), found.spots.take(spot[place >= 0])
+    rate, work = _rate_of_spots(first, second, timing, geometry, centroid_error, tolerance_px, min_stars)
     work.add("window_stars_paired", len(window))
     return rate, work
 
 
-def _rate_between(
+def _rate_of_spots(
     first: Spots,
     second: Spots,
-    interval_s: FloatArray,
     timing: RowTiming,
     geometry: CameraGeometry,
     centroid_error: CentroidError,
     tolerance_px: float,
     min_stars: int,
 ) -> tuple[StarRate | None, Work]:
-    """Rate of pairs of spots: first[i] and second[i] are one star, interval_s[i] apart."""
+    """Rate of pairs of spots: first[i] and second[i] are one star, in two frames a period apart."""
+    interval_s = intervals(first.y_px, second.y_px, timing)
+    later_s = timing.row_time_s * (0.5 * (first.y_px + second.y_px) - timing.middle_row)
     then, steps_then = geometry.counted_unit_vectors(first.x_px, first.y_px)
     later, steps_later = geometry.counted_unit_vectors(second.x_px, second.y_px)
     moved = np.hypot(second.x_px - first.x_px, second.y_px - first.y_px)
@@ -166,12 +184,15 @@ def _rate_between(
     along_1, across_1 = centroid_error.streak_sigma_px(first.flux_dn, first.noise_dn, length)
     along_2, across_2 = centroid_error.streak_sigma_px(second.flux_dn, second.noise_dn, length)
     focal = geometry.focal_px
+    bend = EXPECTED_JERK_RAD_S3 * bend_s2(later_s, timing.exposure_s) * interval_s
     rate, work = rate_of_pairs(
         then,
         later,
         interval_s,
-        np.hypot(along_1, along_2) / focal,
-        np.hypot(across_1, across_2) / focal,
+        later_s,
+        np.sqrt((along_1 * along_1 + along_2 * along_2) / (focal * focal) + bend * bend),
+        np.sqrt((across_1 * across_1 + across_2 * across_2) / (focal * focal) + bend * bend),
+        EXPECTED_JERK_RAD_S3 * timing.exposure_s * timing.exposure_s / 24.0,
         tolerance_px / focal,
         min_stars,
     )
@@ -194,8 +215,11 @@ def places_by_rate(
     timing: RowTiming,
     geometry: CameraGeometry,
     least_speed_px_s: float,
+    change_rad_s2: FloatArray,
 ) -> tuple[tuple[FloatArray, FloatArray], Work]:
     """Places of all spots at the frame's time: each turned by the rate from its row's time, exactly.
+
+    rate_rad_s: of half a period before the frame's time, since when it changes by change_rad_s2.
 
     A rate under ``least_speed_px_s`` (across the boresight or about it at the corner of the image) leaves
     them as they are.
@@ -204,7 +228,15 @@ def places_by_rate(
     if timing.row_time_s == 0.0 or not len(x_px) or speed < least_speed_px_s:
         return (x_px, y_px), Work()
     vectors, steps = geometry.counted_unit_vectors(x_px, y_px)
-    x, y, ahead = geometry.project(turned_later(vectors, rate_rad_s, timing.until_reference_s(y_px)))
+    turned = turned_later(
+        vectors,
+        rate_rad_s,
+        timing.until_reference_s(y_px),
+        change_rad_s2,
+        0.5 * timing.period_s,
+        timing.exposure_s,
+    )
+    x, y, ahead = geometry.project(turned)
     x, y = np.where(ahead, x, x_px), np.where(ahead, y, y_px)
     work = {"directions_begun": 1, "unit_vectors": len(x), "newton_steps": steps, "spots_turned": len(x)}
     return (x, y), Work(work)

@@ -3,13 +3,13 @@
 The six steps of Sarvi et al. 2014 ("Tracking sequence"): neighbours of the pivot from the catalogue; those
 that can be in the image, by the last attitude and the four planes of the field, each with a window; a new
 image; centroids inside the windows only; the angles between the pivot and each other found star against the
-catalogue; attitude. No rate is given, and none is used to place a window.
+catalogue; attitude. No rate is given, and none is used to place a window, but where a unit asks for it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,10 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from .aberration import apparent_kernel
-from .attitude import matrix_kernel
+from .attitude import matrix_kernel, quaternion_product
 from .catalogue.star_catalogue import StarCatalogue
 from .geometry import CameraGeometry
 from .image.spots import WindowSpots
+from .star_rate import EXPECTED_CHANGE_RAD_S2
 from .work import Work
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,6 +44,7 @@ class TrackingParameters:
         2.0; a measured magnitude may be 0.7 off (Zhang et al. 2014), a saturated star more.
     rate_margin: a rate is too high above (1 + rate_margin) omega. ASSUMED: 0.25, half-way from omega, where
         tracking must hold, to 1.5 omega, where it must not, so that noise decides neither.
+    windows_by_rate: windows stand where the last rate puts the stars, as wide as that rate is uncertain.
     """
 
     rate_rad_s: float
@@ -53,6 +55,7 @@ class TrackingParameters:
     star_radius_px: float = 4.0
     magnitude_tolerance: float = 2.0
     rate_margin: float = 0.25
+    windows_by_rate: bool = False
 
     def __post_init__(self) -> None:
         if not self.rate_rad_s > 0.0:
@@ -125,6 +128,42 @@ def window_half_width_px(
     return math.ceil(speed_px_s * interval_s) + math.ceil(
         parameters.star_radius_px + 0.5 * speed_px_s * exposure_s
     )
+
+
+def ahead_by_rate(
+    q_icrs_to_sensor: FloatArray,
+    rate_rad_s: FloatArray,
+    covariance_rad2_s2: FloatArray,
+    parameters: TrackingParameters,
+    geometry: CameraGeometry,
+    interval_s: float,
+    readout_s: float,
+    exposure_s: float,
+) -> tuple[FloatArray, TrackingParameters]:
+    """The attitude that the last rate leads to, and parameters for windows about the stars there.
+
+    rate_rad_s, covariance_rad2_s2: the mean rate up to the attitude. The windows' omega is three sigmas of it
+    and what it may have changed by since. ASSUMED: EXPECTED_CHANGE_RAD_S2 for one interval. The star's radius
+    is that at rest, half of its streak by the rate itself, and what the rows' times put it off under a
+    rolling shutter, readout_s from the first to the last. Where that would be no less than omega, or the
+    windows no smaller, they are those of omega round the last attitude.
+    """
+    sigma = math.sqrt(float(np.trace(covariance_rad2_s2)))
+    unsure = 3.0 * sigma + EXPECTED_CHANGE_RAD_S2 * interval_s
+    eps, _ = _optics(geometry)
+    speed_px_s = math.degrees(math.sqrt(float(rate_rad_s @ rate_rad_s))) * eps
+    radius_px = parameters.star_radius_px + 0.5 * speed_px_s * (exposure_s + readout_s)
+    shrunk = replace(parameters, rate_rad_s=unsure, star_radius_px=radius_px)
+    wide = window_half_width_px(parameters, geometry, interval_s, exposure_s)
+    if unsure >= parameters.rate_rad_s or wide <= window_half_width_px(
+        shrunk, geometry, interval_s, exposure_s
+    ):
+        return q_icrs_to_sensor, parameters
+    angle = rate_rad_s * interval_s
+    size = math.sqrt(float(angle @ angle))
+    scale = 0.5 if size < 1e-9 else math.sin(0.5 * size) / size
+    turn = np.append(angle * scale, math.cos(0.5 * size))
+    return quaternion_product(turn, q_icrs_to_sensor), shrunk
 
 
 def plan_windows(

@@ -240,6 +240,8 @@ int32_t st_flow_rate(const double *before, const double *after, int32_t count, d
             degrees = 0;
         spread = (PRIOR_DEGREES + residuals(rows, count, turn, kept, residual, order)) /
                  (PRIOR_DEGREES + degrees);
+        if (spread < 1.0)
+            spread = 1.0;
         if (!choose(residual, order, count, least, kept, order + count))
             break;
     }

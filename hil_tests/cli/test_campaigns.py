@@ -25,7 +25,7 @@ KEYS = {
     "detection": {"share_detected_at_limit", "false_clusters_per_frame", "by_magnitude"},
     "earth-rate": {"rate_error_deg_s", "rate_deg_s", "right_ascension_drift_deg_s"},
     "false-stars": {"best", "rows", "timing"},
-    "iris-tables": {"cases", "laws"},
+    "iris-tables": {"settings", "exponent_of_stars", "exponent_of_ifov"},
     "lost-in-space": {"eligible", "right", "wrong", "unsolved", "coverage"},
     "star-quadruples": {"identified", "quadruples"},
     "tracking-rate": {"held_at_rate", "lost_over_rate", "back_in_time", "by_direction"},

@@ -72,7 +72,13 @@ class Pair:
                 return np.zeros((0, 2))
             spots = self.now.spots
             (x, y), _ = places_by_rate(
-                spots.x_px, spots.y_px, rate.rate_rad_s, self.timing, CAMERA, least_speed_px_s
+                spots.x_px,
+                spots.y_px,
+                rate.rate_rad_s,
+                self.timing,
+                CAMERA,
+                least_speed_px_s,
+                rate.change_rad_s2,
             )
         else:
             (x, y), _ = compensate(self.before, self.now, self.fusion, self.timing, method, least_speed_px_s)

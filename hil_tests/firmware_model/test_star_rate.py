@@ -33,7 +33,9 @@ def scene(
 
 def rate_of(before: Array, after: Array, spans: Array, sigma_px: float = 0.1, stars: int = 2) -> object:
     sigma = np.full(len(before), sigma_px * PIXEL)
-    return rate_of_pairs(before, after, spans, sigma, sigma, 1.5 * PIXEL, stars)[0]
+    return rate_of_pairs(before, after, spans, np.zeros(len(before)), sigma, sigma, 0.0, 1.5 * PIXEL, stars)[
+        0
+    ]
 
 
 @pytest.mark.parametrize("rate_deg_s", [0.0, 0.01, 1.0, 5.0, 60.0])
@@ -78,7 +80,7 @@ def test_errors_are_those_of_the_covariance(stars: int) -> None:
         noisy = after + rng.normal(size=(stars, 1)) * along[:, None] * motion
         noisy += rng.normal(size=(stars, 1)) * across[:, None] * side
         noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
-        found, _ = rate_of_pairs(before, noisy, spans, along, across, 3.0 * PIXEL, 2)
+        found, _ = rate_of_pairs(before, noisy, spans, np.zeros(stars), along, across, 0.0, 3.0 * PIXEL, 2)
         if found is None:
             continue
         error = found.rate_rad_s - rate
@@ -125,3 +127,79 @@ def test_turning_by_the_rate_is_the_camera_s_turn() -> None:
     spans = rng.uniform(-0.2, 0.2, 20)
     before, after, _ = scene(rng, rate, 20, spans)
     assert np.abs(turned_later(before, rate, spans) - after).max() < 2e-11  # of a turn of 0.02 rad
+
+
+@pytest.mark.parametrize("change_deg_s2", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize("stars", [4, 20])
+def test_a_rate_that_changes_is_that_of_the_middle(change_deg_s2: float, stars: int) -> None:
+    """Stars of a rolling shutter's rows turn at the rates of their own times; z is that of the covariance."""
+    rng = np.random.default_rng([stars, int(10 * change_deg_s2)])
+    sigma = np.full(stars, 0.1 * PIXEL)
+    errors, changes, seen = [], [], []
+    for _ in range(150):
+        axis = rng.normal(size=3)
+        rate = np.radians(2.0) * axis / np.linalg.norm(axis)
+        change = np.radians(change_deg_s2) * rng.permutation([1.0, -1.0, 0.5])
+        before = directions(rng.uniform(0, 1023, stars), rng.uniform(0, 1023, stars))
+        later_s = rng.uniform(-0.1, 0.1, stars)
+        after = np.empty((stars, 3))
+        for i, late in enumerate(later_s):
+            after[i] = (
+                matrix(TurningCamera(np.array([0, 0, 0, 1.0]), rate + late * change).attitude(0.2))
+                @ before[i]
+            )
+        after += rng.normal(0.0, 0.1 * PIXEL, after.shape)
+        after /= np.linalg.norm(after, axis=1, keepdims=True)
+        found, _ = rate_of_pairs(
+            before, after, np.full(stars, 0.2), later_s, sigma, sigma, 0.0, 1.5 * PIXEL, 2
+        )
+        assert found is not None
+        errors.append((found.rate_rad_s - rate) / np.sqrt(np.diag(found.covariance_rad2_s2)))
+        changes.append(change)
+        seen.append(found.change_rad_s2)
+    spread = np.std(errors, axis=0)
+    assert spread.max() < 1.15
+    assert spread.min() > 0.4
+    assert np.mean(np.abs(errors) < 3.0) > 0.985
+    told = np.any(seen, axis=1)
+    if change_deg_s2 == 0.0:
+        assert told.mean() < 0.03
+    elif stars == 20 and change_deg_s2 == 1.0:
+        assert told.mean() > 0.9
+        across = np.array(seen)[told][:, :2] - np.array(changes)[told][:, :2]
+        assert np.abs(across).max() < np.radians(0.6)
+
+
+def test_what_is_wrong_with_all_pairs_alike_does_not_average_out() -> None:
+    rng = np.random.default_rng(12)
+    before, after, spans = scene(rng, np.radians([1.0, 2.0, -0.5]), 30, EXPOSURE_S)
+    sigma = np.full(30, 0.1 * PIXEL)
+    arguments = (before, after, spans, np.zeros(30), sigma, sigma)
+    alone, _ = rate_of_pairs(*arguments, 0.0, PIXEL, 2)
+    wider, _ = rate_of_pairs(*arguments, 1e-4, PIXEL, 2)
+    assert alone is not None
+    assert wider is not None
+    np.testing.assert_allclose(
+        wider.covariance_rad2_s2 - alone.covariance_rad2_s2, 1e-8 * np.eye(3), atol=1e-16
+    )
+
+
+def test_a_mean_place_of_an_exposure_is_brought_to_its_middle() -> None:
+    """The mean over 0.2 s of a turn that speeds up, against its middle, and from another row's time."""
+    rng = np.random.default_rng(14)
+    rate, change = np.radians([2.0, -1.0, 0.5]), np.radians([0.8, 0.4, -0.3])
+    star = directions(rng.uniform(300, 700, 1), rng.uniform(300, 700, 1))[0]
+
+    def place(t_s: float) -> Array:
+        turn = rate + 0.5 * t_s * change  # mean since t = 0, about nearly one axis
+        return np.asarray(matrix(TurningCamera(np.array([0, 0, 0, 1.0]), turn).attitude(t_s)) @ star)
+
+    since_s, off_s = 0.1, 0.04  # the frame's time after that of the rate, the row's after the frame's
+    times = since_s + off_s + np.linspace(-0.1, 0.1, 401)
+    seen = np.mean([place(t) for t in times], axis=0)
+    seen /= np.linalg.norm(seen)
+    args = (seen[None], rate, np.array([-off_s]), change, since_s)
+    wrong = np.abs(turned_later(*args)[0] - place(since_s)).max()
+    right = np.abs(turned_later(*args, 0.2)[0] - place(since_s)).max()
+    assert right < 0.05 * PIXEL
+    assert right < 0.5 * wrong

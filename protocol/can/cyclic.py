@@ -163,7 +163,7 @@ def _quaternion_part(name: str, meaning: str) -> Signal:
 
 
 def _rate(axis: str) -> Signal:
-    meaning = f"angular rate of the sensor frame relative to ICRS, sensor axis {axis}"
+    meaning = f"mean angular rate since the frame before, sensor frame to ICRS, sensor axis {axis}"
     return Signal(f"rate_{axis}", 18, signed=True, scale=2.0**-19, unit="rad/s", meaning=meaning)
 
 

@@ -182,6 +182,7 @@ def firmware_configuration(
             min_stars=int(parameters["tracking_min_stars"]),
             max_missed=int(parameters["tracking_max_missed"]),
             max_windows=profile.tracking.max_windows,
+            windows_by_rate=profile.tracking.windows_by_rate,
         ),
         rate=_rate_parameters(profile),
         exposure_ns=exposure_us * 1000,

@@ -170,12 +170,17 @@ class Identification(Section):
 
 
 class Tracking(Section):
+    """Windows round the stars. ``windows_by_rate``: where the last rate puts them, as wide as it is unsure;
+    false: round their last places, as wide as ``rate_deg_s`` moves them. A unit needs [rate] for it.
+    """
+
     rate_deg_s: Annotated[float, Field(ge=0.01, le=10)]
     star_radius_px: Positive
     tolerance_arcsec: Annotated[float, Field(ge=0.1, le=600)]
     min_stars: Annotated[int, Field(ge=2, le=20)]
     max_missed: Annotated[int, Field(ge=0, le=20)]
     max_windows: Annotated[int, Field(ge=3, le=60)]
+    windows_by_rate: bool = False
 
 
 class Rate(Section):
@@ -253,6 +258,12 @@ class UnitProfile(Section):
     @property
     def apid(self) -> int:
         return self.wire.apid
+
+    @model_validator(mode="after")
+    def _windows_by_rate_need_a_rate(self) -> UnitProfile:
+        if self.tracking.windows_by_rate and self.rate is None:
+            raise ValueError("tracking.windows_by_rate = true needs the section [rate], which is missing")
+        return self
 
     @cached_property
     def focal_px(self) -> float:

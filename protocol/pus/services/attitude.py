@@ -8,7 +8,7 @@ from ..fields import Field
 from ..messages import MessageDefinition, ServiceDefinition
 
 _COVARIANCE = "covariance of the small-angle attitude error, sensor axes, "
-_RATE = "angular rate of the sensor frame relative to ICRS, sensor axes, "
+_RATE = "mean angular rate of the sensor frame relative to ICRS, sensor axes, "
 _RATE_COVARIANCE = "covariance of the error of the rate, sensor axes, "
 
 SERVICE = ServiceDefinition(
@@ -29,8 +29,12 @@ SERVICE = ServiceDefinition(
             "arcsec, which the covariance does not contain; the velocity about the Earth, which parameters "
             "14 to 16 give, makes up to 5 arcsec more. The report of a dropped frame may come before that "
             "of the late frame that caused it: frame_index orders them. The rate has a validity of its own: "
-            "in mode RATE_ONLY it is all that is known. Where the attitude is not valid the last valid one "
-            "is repeated; a covariance or rate that is not valid is sent as 0.",
+            "in mode RATE_ONLY it is all that is known. It is the mean from the mid-exposure of the frame "
+            "processed before to that of this one: the turn between the two attitudes over the time between "
+            "them. A unit that measures no rate of stars gives it from the last valid attitude on, in "
+            "LOST_IN_SPACE from the last one solved. A rate that jumps within an exposure counts for as "
+            "much of it as it lasts. Where the attitude is not valid the last valid one is repeated; a "
+            "covariance or rate that is not valid is sent as 0.",
             (
                 Field("frame_index", UINT32, meaning="index of the frame, from 0 at power-on"),
                 Field(

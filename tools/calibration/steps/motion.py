@@ -15,7 +15,7 @@ from st_emulator.firmware_model.camera_errors import CentroidError
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.image.rolling_shutter import RowTiming
 from st_emulator.firmware_model.image.streaks import Fusion, StreakTable
-from st_emulator.firmware_model.star_rate import StarRate
+from st_emulator.firmware_model.star_rate import EXPECTED_JERK_RAD_S3, StarRate
 from st_emulator.firmware_model.work import COUNTS, Work
 from tools.arm_timing.machine import ArmMachine, Cost
 from tools.calibration.steps.attitude import place_camera, place_vectors
@@ -149,7 +149,7 @@ class _Pairs:
     def __init__(self, machine: ArmMachine, first: Any, second: Any, arguments: Mapping[str, Any]) -> None:
         self.machine, self.first, self.second, self.arguments = machine, first, second, arguments
 
-    def rate(self, step: str, of_the_frame: bool, expected: StarRate | None) -> dict[str, Cost]:
+    def rate(self, step: str, expected: StarRate | None) -> dict[str, Cost]:
         machine, arguments, count = self.machine, self.arguments, len(self.second)
         error: CentroidError = arguments["centroid_error"]
         focal = arguments["geometry"].focal_px
@@ -166,7 +166,6 @@ class _Pairs:
             flux_before=place_vectors(machine, self.first.flux_dn),
             flux_now=place_vectors(machine, self.second.flux_dn),
             count=count,
-            before_is_of_the_frame=int(of_the_frame),
         )
         model = place_struct(
             machine,
@@ -178,7 +177,7 @@ class _Pairs:
             noise_before_dn=self.first.noise_dn,
             noise_now_dn=self.second.noise_dn,
         )
-        interval, along, across = (machine.reserve(_DOUBLE * count) for _ in range(3))
+        interval, later, along, across = (machine.reserve(_DOUBLE * count) for _ in range(4))
         kept, residuals = machine.reserve(_WORD * count), machine.reserve(_DOUBLE * count)
         result = reserve_structs(machine, "st_rate_result")
         scratch = machine.reserve(_RATE_SCRATCH_DOUBLES * _DOUBLE * count)
@@ -186,10 +185,15 @@ class _Pairs:
         least = max(arguments["min_stars"], 2, -(-2 * count // 3))
         cost = machine.call("st_unit_vectors", places[0], places[1], count, camera, then).cost
         cost += machine.call("st_unit_vectors", places[2], places[3], count, camera, now).cost
-        errors = machine.call("st_pair_errors", pairs, timing, model, focal, interval, along, across).cost
+        errors = machine.call(
+            "st_pair_errors", pairs, timing, model, focal, interval, later, along, across
+        ).cost
+        exposure_s = arguments["timing"].exposure_s
+        common = EXPECTED_JERK_RAD_S3 * exposure_s * exposure_s / 24.0
         solving = machine.call(
             "st_star_rate",
-            *(then, now, interval, along, across, count, arguments["tolerance_px"] / focal, least),
+            *(then, now, interval, later, along, across, count, common),
+            *(arguments["tolerance_px"] / focal, least),
             *(kept, residuals, scratch, result),
         ).cost
         found = read_struct(machine, "st_rate_result", result)
@@ -200,6 +204,7 @@ class _Pairs:
             for what, values in (
                 ("rate_rad_s", expected.rate_rad_s),
                 ("covariance", expected.covariance_rad2_s2.ravel()),
+                ("change_rad_s2", expected.change_rad_s2),
             ):
                 bound = RATE_BOUND * max(float(np.abs(values).max()), 1e-12)
                 _require_within(step, what, found[what], values, bound)
@@ -216,45 +221,40 @@ class StarRateStep:
         fusion: Fusion = arguments["fusion"]
         first = arguments["before"].spots.take(fusion.before)
         second = arguments["now"].spots.take(fusion.now)
-        costs = _Pairs(machine, first, second, arguments).rate(self.name, False, record.result)
+        costs = _Pairs(machine, first, second, arguments).rate(self.name, record.result)
         machine.release()
         return _stages(self.name, costs, record.work)
 
 
 class WindowRateStep:
-    """Rate of the spots of detection windows from where their stars were expected."""
+    """Rate of the spots of detection windows from those of the same stars in the frame before."""
 
     name = "window_rate"
 
     def run(self, machine: ArmMachine, record: StepRecord) -> Sequence[StageRun]:
         arguments = record.arguments
-        found, window = arguments["found"], arguments["window"]
+        found, window, before = arguments["found"], arguments["window"], arguments["before"]
         windows = int(window.max(initial=-1)) + 1
-        star, spot = machine.reserve(_WORD * len(window)), machine.reserve(_WORD * len(window))
+        place, spot = machine.reserve(_WORD * len(window)), machine.reserve(_WORD * len(window))
         pairing = machine.call(
             "st_pair_windows",
+            machine.place(arguments["star"]),
             machine.place(window),
             len(window),
+            machine.place(before.row),
+            len(before.row),
             machine.place(found.window),
             len(found.window),
             windows,
             machine.reserve(_WORD * windows),
             machine.reserve(_WORD * windows),
-            *(star, spot),
+            *(place, spot),
         )
-        stars = machine.read(star, np.int32, pairing.result)
+        first = before.spots.take(machine.read(place, np.int32, pairing.result))
         second = found.spots.take(machine.read(spot, np.int32, pairing.result))
-        first = _At(arguments["x_px"][stars], arguments["y_px"][stars], second.flux_dn, second.noise_dn)
-        costs = _Pairs(machine, first, second, arguments).rate(self.name, True, record.result)
+        costs = _Pairs(machine, first, second, arguments).rate(self.name, record.result)
         machine.release()
         return _stages(self.name, {"tracking": pairing.cost} | costs, record.work)
-
-
-class _At:
-    """Places with the brightness of the spots found there."""
-
-    def __init__(self, x_px: Any, y_px: Any, flux_dn: Any, noise_dn: float) -> None:
-        self.x_px, self.y_px, self.flux_dn, self.noise_dn = x_px, y_px, flux_dn, noise_dn
 
 
 class CompensateStep:
@@ -304,9 +304,10 @@ class PlacesByRateStep:
         vectors, turned = machine.reserve(3 * _DOUBLE * count), machine.reserve(3 * _DOUBLE * count)
         timing = _place_timing(machine, arguments["timing"])
         rate = place_vectors(machine, arguments["rate_rad_s"])
+        change = place_vectors(machine, arguments["change_rad_s2"])
         ahead = machine.reserve(_WORD * count)
         cost = machine.call("st_unit_vectors", x, y, count, camera, vectors).cost
-        cost += machine.call("st_turn_stars", vectors, y, count, rate, timing, turned).cost
+        cost += machine.call("st_turn_stars", vectors, y, count, rate, change, timing, turned).cost
         cost += machine.call("st_project", turned, count, camera, x, y, ahead).cost
         for address, places in zip((x, y), record.result, strict=True):
             found = machine.read(address, np.float64, count)

@@ -18,9 +18,14 @@ from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.geometry import CameraGeometry
 from st_emulator.firmware_model.image.detection import DetectionParameters, detect_clusters
 from st_emulator.firmware_model.image.rolling_shutter import RowTiming, compensate
-from st_emulator.firmware_model.image.spots import WindowSpots
-from st_emulator.firmware_model.image.streaks import DetectedClusters, fuse, streak_table
-from st_emulator.firmware_model.star_motion import places_by_rate, rate_of_fusion, rate_of_windows
+from st_emulator.firmware_model.image.spots import Spots, WindowSpots
+from st_emulator.firmware_model.image.streaks import DetectedClusters, Fusion, fuse, streak_table
+from st_emulator.firmware_model.star_motion import (
+    TrackedStars,
+    places_by_rate,
+    rate_of_fusion,
+    rate_of_windows,
+)
 from st_emulator.firmware_model.work import Work
 
 __all__ = ["streak_records"]
@@ -113,6 +118,7 @@ def streak_records(rng: np.random.Generator) -> Sequence[StepRecord]:
         arguments = {"before": before, "now": now, "fusion": fusing.result, "timing": TIMING}
         records.append(_record("compensate", compensate, **arguments, method=method, least_speed_px_s=2.0))
     turn = rng.normal(0.0, 0.03, 3) if rate.result is None else rate.result.rate_rad_s
+    change = np.zeros(3) if rng.uniform() < 0.5 else rng.normal(0.0, 0.02, 3)
     records.append(
         _record(
             "places_by_rate",
@@ -123,25 +129,28 @@ def streak_records(rng: np.random.Generator) -> Sequence[StepRecord]:
             timing=TIMING,
             geometry=geometry,
             least_speed_px_s=0.0,
+            change_rad_s2=change,
         )
     )
-    records.append(_windows(rng, now.spots, shared))
+    records.append(_windows(rng, fusing.result, before.spots, now.spots, shared))
     records.append(_limit(rng))
     return records
 
 
-def _windows(rng: np.random.Generator, spots: Any, shared: dict[str, Any]) -> StepRecord:
-    """Windows of the spots: some of two stars, some with no spot, some spots of another star."""
+def _windows(
+    rng: np.random.Generator, fusion: Fusion, before: Spots, spots: Spots, shared: dict[str, Any]
+) -> StepRecord:
+    """Windows of the spots: some of two stars, some with no spot, some stars not seen in the frame before."""
     stars = min(len(spots), 24)
-    order = np.arange(stars)
-    x = spots.x_px[:stars] + rng.normal(3.0, 0.2, stars)
-    y = spots.y_px[:stars] + rng.normal(-2.0, 0.2, stars)
+    order = np.arange(stars, dtype=np.int32)
     window = (order - (rng.uniform(size=stars) < 0.1)).clip(0)
     window = np.unique(window, return_inverse=True)[1].astype(np.int32)
     seen = np.flatnonzero(rng.uniform(size=stars) < 0.9)
-    place = window[seen]
-    found = WindowSpots(spots.take(seen), place, np.zeros(0, np.uint8), np.zeros(0), np.zeros(0))
-    return _record("window_rate", rate_of_windows, x_px=x, y_px=y, window=window, found=found, **shared)
+    found = WindowSpots(spots.take(seen), window[seen], np.zeros(0, np.uint8), np.zeros(0), np.zeros(0))
+    tracked = rng.permutation(np.flatnonzero(fusion.now < stars))
+    kept = TrackedStars(0, 0, 7 * fusion.now[tracked], before.take(fusion.before[tracked]))
+    arguments = {"before": kept, "star": 7 * order, "window": window, "found": found}
+    return _record("window_rate", rate_of_windows, **arguments, **shared)
 
 
 def _limit(rng: np.random.Generator) -> StepRecord:
