@@ -453,7 +453,10 @@ def _conclude(
         # high, but it is not this one; and where no attitude fits the spots of the windows, nor need they be
         # the stars'.
         most = configuration.tracking.rate_rad_s * (1.0 + configuration.tracking.rate_margin)
-        if tracking and (solution is None or float(rate @ rate) > most * most):
+        cut = float(rate @ rate) > most * most
+        if tracking and solution is not None and cut:
+            reasons |= Reason.RATE_TOO_HIGH
+        if tracking and (solution is None or cut):
             rate = rate_covariance = None
     valid = reasons == Reason.NONE
     if configuration.rate is not None:

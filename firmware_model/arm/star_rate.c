@@ -8,7 +8,7 @@
 
 #define DEGENERATE_INFORMATION 1.25e-9 /* an eighth of the ratio of smallest to largest, 1e-8 */
 #define EXPECTED_CHANGE 0.017453292519943295 /* rad/s^2: 1 deg/s^2 */
-#define EXPECTED_JERK 0.01308996938995747    /* rad/s^3: 0.75 deg/s^3 */
+#define EXPECTED_JERK 0.01308996938995747 /* rad/s^3: 0.75 deg/s^3 */
 #define SIGNIFICANT_CHANGE 14.156
 #define ROWS 6 /* of a star's two equations, before what was seen */
 
@@ -34,13 +34,15 @@ static void streak_variances(const st_streak_error *error, double flux, double n
 }
 
 void st_pair_errors(const st_star_pairs *pairs, const st_row_timing *timing, const st_streak_error *error,
-                    double focal_px, double *interval_s, double *later_s, double *along_rad, double *across_rad)
+                    double focal_px, double *interval_s, double *later_s, double *along_rad,
+                    double *across_rad)
 {
     for (int32_t i = 0; i < pairs->count; i++) {
         double interval = timing->period_s + timing->row_time_s * (pairs->y_now[i] - pairs->y_before[i]);
-        double later = timing->row_time_s * (0.5 * (pairs->y_before[i] + pairs->y_now[i]) - timing->middle_row);
-        double bend = EXPECTED_JERK *
-                      (0.5 * later * later + timing->exposure_s * timing->exposure_s / 24.0) * interval;
+        double later = timing->row_time_s *
+                       (0.5 * (pairs->y_before[i] + pairs->y_now[i]) - timing->middle_row);
+        double bend = EXPECTED_JERK * (0.5 * later * later + timing->exposure_s * timing->exposure_s / 24.0) *
+                      interval;
         double across = pairs->x_now[i] - pairs->x_before[i];
         double down = pairs->y_now[i] - pairs->y_before[i];
         double least = 0.5 * timing->period_s;
@@ -133,8 +135,8 @@ static int32_t solve(normal_equations *sum, double *p, double *growth, double *c
             share[3 * m + n] = alone[3 * m] * both[n] + alone[3 * m + 1] * both[3 + n] +
                                alone[3 * m + 2] * both[6 + n];
     for (int32_t m = 0; m < 3; m++) {
-        sum->right_growth[m] -=
-            share[m] * sum->right[0] + share[3 + m] * sum->right[1] + share[6 + m] * sum->right[2];
+        sum->right_growth[m] -= share[m] * sum->right[0] + share[3 + m] * sum->right[1] +
+                                share[6 + m] * sum->right[2];
         for (int32_t n = m; n < 3; n++) {
             double taken = both[m] * share[n] + both[3 + m] * share[3 + n] + both[6 + m] * share[6 + n];
             rest[3 * m + n] = rest[3 * n + m] = sum->of_growth[3 * m + n] - taken;
@@ -155,10 +157,10 @@ static int32_t solve(normal_equations *sum, double *p, double *growth, double *c
         for (int32_t n = 0; n < 3; n++) {
             covariance[3 * m + n] = alone[3 * m + n];
             for (int32_t k = 0; k < 3; k++)
-                covariance[3 * m + n] +=
-                    (inverse[3 * k] * share[3 * n] + inverse[3 * k + 1] * share[3 * n + 1] +
-                     inverse[3 * k + 2] * share[3 * n + 2]) *
-                    share[3 * m + k];
+                covariance[3 * m + n] += (inverse[3 * k] * share[3 * n] +
+                                          inverse[3 * k + 1] * share[3 * n + 1] +
+                                          inverse[3 * k + 2] * share[3 * n + 2]) *
+                                         share[3 * m + k];
         }
     }
     return 1;
@@ -194,9 +196,10 @@ static double equations(const double *before, const double *now, double share, d
     return moved / along;
 }
 
-int32_t st_star_rate(const double *before, const double *now, const double *interval_s,
-                     const double *later_s, const double *along_rad, const double *across_rad, int32_t count,
-                     double common_rad_s, double tolerance_rad, int32_t least, int32_t *kept, double *residuals, double *scratch, st_rate_result *result)
+int32_t st_star_rate(const double *before, const double *now, const double *interval_s, const double *later_s,
+                     const double *along_rad, const double *across_rad, int32_t count, double common_rad_s,
+                     double tolerance_rad, int32_t least, int32_t *kept, double *residuals, double *scratch,
+                     st_rate_result *result)
 {
     double *rows = scratch;
     double *seen = scratch + ROWS * count;
@@ -263,8 +266,8 @@ int32_t st_star_rate(const double *before, const double *now, const double *inte
     }
     for (int32_t m = 0; m < 3; m++) {
         result->rate_rad_s[m] = p[m] * factor;
-        result->change_rad_s2[m] =
-            significance > SIGNIFICANT_CHANGE * spread ? 2.0 * growth[m] / mean_s : 0.0;
+        result->change_rad_s2[m] = significance > SIGNIFICANT_CHANGE * spread ? 2.0 * growth[m] / mean_s
+                                                                              : 0.0;
     }
     for (int32_t m = 0; m < 9; m++)
         result->covariance[m] *= scale;
@@ -314,8 +317,9 @@ int32_t st_too_fast(const double *rate_rad_s, const double *covariance, double l
 }
 
 int32_t st_compensate(const double *x_before, const double *y_before, const int32_t *pair_before,
-                      const int32_t *pair_now, int32_t pairs, const int32_t *extent, const st_row_timing *timing,
-                      int32_t by_streak, double least_speed_px_s, double *x, double *y)
+                      const int32_t *pair_now, int32_t pairs, const int32_t *extent,
+                      const st_row_timing *timing, int32_t by_streak, double least_speed_px_s, double *x,
+                      double *y)
 {
     int32_t moved = 0;
     for (int32_t pair = 0; pair < pairs; pair++) {

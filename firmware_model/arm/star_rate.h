@@ -42,9 +42,9 @@ void st_pair_errors(const st_star_pairs *pairs, const st_row_timing *timing, con
 /* Rate of pairs of directions before[count][3], now[count][3], common_rad_s being what is wrong with all of
  * them alike; kept[count]: 1 for those it is made of.
  * residuals[count]; scratch[ST_RATE_SCRATCH_DOUBLES * count]. Returns result->solved. */
-int32_t st_star_rate(const double *before, const double *now, const double *interval_s,
-                     const double *later_s, const double *along_rad, const double *across_rad, int32_t count,
-                     double common_rad_s, double tolerance_rad, int32_t least, int32_t *kept, double *residuals, double *scratch,
+int32_t st_star_rate(const double *before, const double *now, const double *interval_s, const double *later_s,
+                     const double *along_rad, const double *across_rad, int32_t count, double common_rad_s,
+                     double tolerance_rad, int32_t least, int32_t *kept, double *residuals, double *scratch,
                      st_rate_result *result);
 
 /* What is wrong with the rates of all pairs alike, rad/s: of frames that are exposed so long. */
@@ -60,8 +60,9 @@ int32_t st_too_fast(const double *rate_rad_s, const double *covariance, double l
 
 /* Places x[], y[] of the paired spots brought to the frame's time by their own velocities. */
 int32_t st_compensate(const double *x_before, const double *y_before, const int32_t *pair_before,
-                      const int32_t *pair_now, int32_t pairs, const int32_t *extent, const st_row_timing *timing,
-                      int32_t by_streak, double least_speed_px_s, double *x, double *y);
+                      const int32_t *pair_now, int32_t pairs, const int32_t *extent,
+                      const st_row_timing *timing, int32_t by_streak, double least_speed_px_s, double *x,
+                      double *y);
 
 /* Pairs of the spots of stars in the frame before and the one spot of their windows: star_row[stars] of the
  * catalogue, row_before[before]; star_window[stars]; spot_window[spots], by window, brightest first;

@@ -44,7 +44,7 @@ SMALL = {
     "zy3-centroids": 2,
     "zy3-table3": 5,
 }
-# One attitude is 262 runs of up to 60 images, one run of the display a hundred: hil_tests/campaigns has fewer.
+# One attitude is 262 runs of up to 60 images, one of the display a hundred: hil_tests/campaigns has fewer.
 LONG = {"aps", "aps-best", "iris-tables"}
 
 

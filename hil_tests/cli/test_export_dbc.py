@@ -69,7 +69,7 @@ def test_can_fd(command):
 @pytest.mark.parametrize(
     ("units", "says"),
     [
-        (("roja2",), ("roja2", "aps_rs, roja1, science_cam, zy3")),
+        (("roja2",), ("roja2", "aps_rs, iris, roja1, science_cam, zy3")),
         (("roja1:0",), ("roja1:0", "CAN node 0", "from 1 to 127")),
         (("roja1:-1",), ("CAN node -1",)),
         (("roja1:128",), ("CAN node 128",)),

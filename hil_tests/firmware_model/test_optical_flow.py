@@ -56,18 +56,24 @@ def pair(
 STARS = [(40.3, 50.6, 900.0), (100.7, 45.2, 1500.0), (70.5, 100.4, 1200.0), (118.2, 110.9, 4000.0)]
 
 
+def level_dn(image: np.ndarray) -> float:
+    """The image's mean, rounded down to 1/16 DN as FlowFrame says."""
+    return math.floor(16 * image.mean()) / 16
+
+
 def test_the_threshold_is_mean_and_three_sigma_of_the_whole_image() -> None:
     image, _ = pair(STARS, (0.0, 0.0), 0.0)
     frame, work = light_up(image, FlowParameters())
     assert frame.mean_dn == pytest.approx(image.mean(), rel=1e-12)
     assert frame.sigma_dn == pytest.approx(image.std(), rel=1e-9)
     lit = image > image.mean() + 3 * image.std()
-    assert len(frame.values_dn) == lit.sum() == work["lit_pixels"]
+    assert len(frame.values) == lit.sum() == work["lit_pixels"]
+    np.testing.assert_array_equal(frame.values / 16, image[lit] - level_dn(image))
     assert work["flow_pixels"] == image.size
     label, count = ndimage.label(lit, np.ones((3, 3)))
     sizes = ndimage.sum_labels(lit, label, range(1, count + 1))
     assert len(frame) == (sizes >= 3).sum()
-    wanted = ndimage.center_of_mass(np.where(lit, image - image.mean(), 0), label, range(1, count + 1))
+    wanted = ndimage.center_of_mass(np.where(lit, image - level_dn(image), 0), label, range(1, count + 1))
     wanted = [place for place, size in zip(wanted, sizes, strict=True) if size >= 3]
     found = sorted(zip(frame.y_px, frame.x_px, strict=True))
     np.testing.assert_allclose(found, sorted(wanted), atol=1e-9)
@@ -95,7 +101,7 @@ def test_the_coarse_shift_is_that_of_the_least_squared_differences() -> None:
     flow, _ = flow_between(before, after, parameters)
 
     def lit(image: np.ndarray) -> np.ndarray:
-        return np.where(image > image.mean() + 3 * image.std(), image - image.mean(), 0.0)
+        return np.where(image > image.mean() + 3 * image.std(), image - level_dn(image), 0.0)
 
     one, two = lit(first), lit(second)
     for star, x, y, mismatch in zip(flow.star, flow.x_px, flow.y_px, flow.mismatch, strict=True):

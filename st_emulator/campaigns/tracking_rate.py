@@ -30,7 +30,12 @@ DIRECTIONS = np.array([v for v in itertools.product((-1, 0, 1), repeat=3) if any
 
 @dataclass(frozen=True)
 class Outcome:
-    """One direction."""
+    """One direction.
+
+    worst_error_px: of the valid attitudes; worst_at_a_step_px: of those whose frame is exposed while the rate
+    steps, apart from the others. There no attitude of mid-exposure can be had: the rows of a rolling shutter
+    see different shares of the two rates.
+    """
 
     direction: tuple[float, float, float]
     at_rate_frames: int
@@ -39,6 +44,7 @@ class Outcome:
     reasons: int
     back_s: float
     worst_error_px: float
+    worst_at_a_step_px: float
 
 
 def _field(chain: Chain, profile: UnitProfile, rotation: np.ndarray, pointings: np.ndarray) -> np.ndarray:
@@ -79,14 +85,19 @@ def turn(profile: UnitProfile, seed: int, index: int) -> Outcome:
     period_s = profile.timing.frame_period_ms / 1000
     over_from_s, over_until_s = REST_S + AT_RATE_S, REST_S + AT_RATE_S + OVER_RATE_S
     at_rate = at_rate_valid = 0
-    lost, reasons, back_s, worst_px = False, Reason(0), np.inf, 0.0
+    lost, reasons, back_s, worst_px, at_a_step_px = False, Reason(0), np.inf, 0.0, 0.0
+    steps_s = (REST_S, over_from_s, over_until_s)
     for number in range(int((over_until_s + AFTER_S) / period_s)):
         t_s = number * period_s
         acquisition = chain.acquisition
         frame, result = chain.step(number)
         if result.valid:
             error = error_arcsec(result.q_icrs_to_sensor, chain.true_attitude(frame))
-            worst_px = max(worst_px, float(np.hypot(error[0], error[1])) / profile.pixel_arcsec)
+            error_px = float(np.hypot(error[0], error[1])) / profile.pixel_arcsec
+            if any(frame.exposure_start_ns < step_s * 1e9 < frame.exposure_end_ns for step_s in steps_s):
+                at_a_step_px = max(at_a_step_px, error_px)
+            else:
+                worst_px = max(worst_px, error_px)
         if REST_S <= t_s < over_from_s:
             at_rate += 1
             at_rate_valid += result.valid and acquisition is Mode.TRACKING
@@ -101,7 +112,9 @@ def turn(profile: UnitProfile, seed: int, index: int) -> Outcome:
         ):
             back_s = t_s + period_s - over_until_s
     direction = (float(axis[0]), float(axis[1]), float(axis[2]))
-    return Outcome(direction, at_rate, int(at_rate_valid), lost, int(reasons), float(back_s), worst_px)
+    return Outcome(
+        direction, at_rate, int(at_rate_valid), lost, int(reasons), float(back_s), worst_px, at_a_step_px
+    )
 
 
 def run(request: CampaignRequest) -> CampaignResult:
@@ -119,6 +132,7 @@ def run(request: CampaignRequest) -> CampaignResult:
         "back_in_time": back,
         "back_s_worst": max(item.back_s for item in outcomes),
         "worst_valid_error_px": worst_px,
+        "worst_valid_error_at_a_step_px": max(item.worst_at_a_step_px for item in outcomes),
         "by_direction": [item.__dict__ for item in outcomes],
     }
     checks = [
