@@ -70,7 +70,7 @@ def _picture(
 
 def _scene(rng: np.random.Generator) -> _Scene:
     length = rng.choice([0.0, 2.0, 10.0, 25.0, 40.0])
-    # Faint stars vanish with the rate: aps_rs sees 40 at 5 deg/s, streaks of 70 px, where it sees 120 at rest.
+    # Faint stars vanish with the rate: where aps_rs sees 60 at rest it sees 5 to 11 at 5 deg/s, 50 px long.
     count = int(rng.integers(4, 160 if length <= 10.0 else 60))
     angle = rng.uniform(0, 2 * np.pi)
     streak = length * np.array([np.cos(angle), np.sin(angle)])
