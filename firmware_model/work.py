@@ -82,6 +82,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("cluster_tables", "centroid", "table of clusters gone through: of a full frame or a detection window"),
     ("clusters_refused", "centroid", "cluster refused for its size or place before it is measured"),
     ("mask_pixels", "centroid", "pixel of the square round a cluster that shows whose its pixels are"),
+    ("mask_rows", "centroid", "row of such a square: its pixels lie elsewhere than those of the row before"),
     ("mask_runs", "centroid", "run of the rows of such a square, wherever on them, compared with it"),
     ("marked_pixels", "centroid", "pixel of such a square marked as one of a run or next to it"),
     ("centroid_stars", "centroid", "centre of mass computed once (its divisions), each pass counts"),

@@ -26,8 +26,8 @@ SPOT_FIELDS = 8
 SMALL, LARGE, SHARP, EDGE, FAINT = range(5)
 PASSES, CLUSTER_PIXELS, WINDOW_PIXELS, RING_PIXELS, INTERPOLATIONS = range(5, 10)
 TABLES, REFUSED, MASK_PIXELS, MASK_RUNS, MARKED_PIXELS, SOLVED, JUDGED, INTERPOLATED = range(10, 18)
-ENERGIES, LENGTHS, PIECES, PIECE_RUNS, RESUMMED, ENERGY_TABLES = range(18, 24)
-TALLIES = 24
+ENERGIES, LENGTHS, PIECES, PIECE_RUNS, RESUMMED, ENERGY_TABLES, MASK_ROWS = range(18, 25)
+TALLIES = 25
 
 
 class SpotLimits(NamedTuple):
@@ -52,6 +52,7 @@ def centroid_counts(tally: Sequence[int]) -> dict[str, int]:
         "cluster_tables": tally[TABLES],
         "clusters_refused": tally[REFUSED],
         "mask_pixels": tally[MASK_PIXELS],
+        "mask_rows": tally[MASK_ROWS],
         "mask_runs": tally[MASK_RUNS],
         "marked_pixels": tally[MARKED_PIXELS],
         "centroid_background_pixels": tally[RING_PIXELS],
@@ -104,6 +105,7 @@ def _paint(
     rows = row_start.shape[0] - 1
     first_row, end_row = max(top - reach, 0), min(top + height + reach, rows)
     tally[MASK_PIXELS] += width * height
+    tally[MASK_ROWS] += height
     tally[MASK_RUNS] += row_start[end_row] - row_start[first_row]
     for row in range(first_row, end_row):
         first_y, end_y = max(row - reach - top, 0), min(row + reach + 1 - top, height)

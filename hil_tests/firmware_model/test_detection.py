@@ -150,7 +150,7 @@ def test_work_counts_what_was_done(render_stars: Render) -> None:
     assert work["block_pixels"] == 32 * over_by_block.sum() - 8 * over_by_block[:, 3].sum()
     assert work["rows_joined"] == 100
     assert work["clusters_refused"] == 0
-    squares = marked = looked_at = 0
+    squares = rows_of_squares = marked = looked_at = 0
     for (
         x,
         y,
@@ -163,9 +163,11 @@ def test_work_counts_what_was_done(render_stars: Render) -> None:
         x_com, y_com = (columns * excess).sum() / excess.sum(), (rows * excess).sum() / excess.sum()
         first, last = np.floor(y_com - 2.5) - 4, np.ceil(y_com + 2.5) + 4
         squares += (last + 1 - first) * (np.ceil(x_com + 2.5) - np.floor(x_com - 2.5) + 9)
+        rows_of_squares += last + 1 - first
         marked += sum(3 * ((rows == row).sum() + 2) for row in set(rows))  # no row of these two has a gap
         looked_at += (np.diff(over[int(first) - 1 : int(last) + 2].astype(int), axis=1, prepend=0) == 1).sum()
     assert work["mask_pixels"] == squares
+    assert work["mask_rows"] == rows_of_squares
     assert work["marked_pixels"] == marked
     assert work["mask_runs"] == looked_at
     assert work["clusters"] == 2
