@@ -4,8 +4,8 @@
 recorded before the rebuild of the unit into a device with dialects, and hold what users saw then; their first
 lines still are of that time, for a journal that is recorded over an older one keeps its header. They were
 recorded anew when the attitude report grew by the covariance of the rate: every other field of every attitude
-report was the same to the last bit but those of time and cycles. Cycle costs that are fitted anew change those
-again. That of ``aps_rs`` is of its unit of now, with a rolling shutter and a rate.
+report was the same to the last bit but those of time and cycles. Cycle costs that are fitted anew change
+those again. That of ``aps_rs`` is of its unit of now, with a rolling shutter and a rate.
 """
 
 from __future__ import annotations
