@@ -19,14 +19,13 @@ from .full_frame_search import find, measure_rate
 from .identification.judgement import false_solutions_kernel, spread_kernel
 from .image.detection import DetectionParameters
 from .image.frame import Frame
-from .image.rolling_shutter import RowTiming
-from .image.spots import Spots, WindowSpots, WindowStatus
+from .image.spots import Spots, WindowStatus
 from .image.windows import detect_in_windows
 from .modes import Mode, ModeEvent
 from .reasons import Reason
-from .star_motion import TrackedStars, moved_spots, places_by_rate, rate_of_windows, single_spots
-from .star_rate import StarRate
-from .tracking import TrackingPlan, ahead_by_rate, plan_windows, verify_by_pivot
+from .tracked_motion import at_frame_time, tracked_stars, window_rate
+from .tracking import ahead_by_rate, plan_windows
+from .verification import verify_by_pivot
 from .work import Work
 
 __all__ = [
@@ -136,9 +135,9 @@ def _track(
         height_px=geometry.height_px,
         keep=keep,
     )
-    measured_rate = _window_rate(found, plan, context, state, configuration, log)
-    tracked = _tracked_stars(found, plan, context, configuration)
-    found = _at_frame_time(found, measured_rate, context, state, configuration, log)
+    measured_rate = window_rate(found, plan, context, state, configuration, log)
+    tracked = tracked_stars(found, plan, context, configuration)
+    found = at_frame_time(found, measured_rate, context, state, configuration, log)
     spots = found.spots
     blank = SearchOutcome(
         Reason.NONE,
@@ -213,92 +212,6 @@ def _track(
         star_rate=measured_rate,
         false_solutions=float(chance),
     )
-
-
-def _tracked_stars(
-    found: WindowSpots, plan: TrackingPlan, context: FrameContext, configuration: FirmwareConfiguration
-) -> TrackedStars | None:
-    """What the next frame measures the rate from: the spots of windows of a single star, in their pixels."""
-    if configuration.rate is None:
-        return None
-    star, spot = single_spots(plan.window, found)
-    return TrackedStars(context.frame_index, context.t_mid_ns, plan.star[star], found.spots.take(spot))
-
-
-def _window_rate(
-    found: WindowSpots,
-    plan: TrackingPlan,
-    context: FrameContext,
-    state: FirmwareState,
-    configuration: FirmwareConfiguration,
-    log: FrameLog,
-) -> StarRate | None:
-    """The rate since the frame processed before, by the spots of windows of a single star."""
-    parameters, before = configuration.rate, state.tracked
-    if parameters is None or before is None:
-        return None
-    interval_ns = context.t_mid_ns - before.t_mid_ns
-    if not 0 < interval_ns <= configuration.solved_validity_ns:
-        return None
-    interval_s = interval_ns * 1e-9
-    geometry = configuration.geometry
-    timing = RowTiming(context.row_time_s, context.exposure_ns * 1e-9, interval_s, geometry.height_px)
-    return log.run(
-        "window_rate",
-        rate_of_windows,
-        before=before,
-        star=plan.star,
-        window=plan.window,
-        found=found,
-        timing=timing,
-        geometry=geometry,
-        centroid_error=configuration.centroid_error,
-        tolerance_px=parameters.tolerance_px,
-        min_stars=parameters.min_stars,
-    )
-
-
-def _at_frame_time(
-    found: WindowSpots,
-    measured: StarRate | None,
-    context: FrameContext,
-    state: FirmwareState,
-    configuration: FirmwareConfiguration,
-    log: FrameLog,
-) -> WindowSpots:
-    """The spots of the windows as they stood at the frame's time, where the shutter is a rolling one.
-
-    By the rate measured; where there is none, by the last one known.
-    """
-    parameters = configuration.rate
-    if parameters is None or parameters.compensation == "none" or context.row_time_s == 0.0:
-        return found
-    geometry = configuration.geometry
-    interval_s = (context.t_mid_ns - state.t_ns) * 1e-9
-    if state.tracked is not None:
-        interval_s = (context.t_mid_ns - state.tracked.t_mid_ns) * 1e-9
-    timing = RowTiming(context.row_time_s, context.exposure_ns * 1e-9, interval_s, geometry.height_px)
-    change = np.zeros(3)
-    if measured is not None:
-        rate: FloatArray | None = measured.rate_rad_s
-        change = measured.change_rad_s2
-    else:
-        recent = 0 < context.t_mid_ns - state.rate_t_ns <= configuration.solved_validity_ns
-        rate = state.rate_rad_s if recent else None
-    if rate is None:
-        return found
-    places = log.run(
-        "places_by_rate",
-        places_by_rate,
-        x_px=found.spots.x_px,
-        y_px=found.spots.y_px,
-        rate_rad_s=rate,
-        timing=timing,
-        geometry=geometry,
-        least_speed_px_s=parameters.least_speed_px_s,
-        change_rad_s2=change,
-    )
-    return replace(found, spots=moved_spots(found.spots, places))
 
 
 #: How a frame is searched in each mode.

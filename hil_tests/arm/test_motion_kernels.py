@@ -18,7 +18,7 @@ NAMES = {step.name for step in STEPS}
 
 @pytest.fixture(scope="module")
 def records() -> list[StepRecord]:
-    return own_records(3, 12)
+    return own_records(4, 12)
 
 
 @pytest.mark.parametrize("name", ["detect", *sorted(NAMES)])

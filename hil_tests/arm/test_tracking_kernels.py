@@ -23,17 +23,16 @@ from hil_tests.firmware_model.synthetic_sky import (
     turned,
     vectors_of,
 )
-from st_emulator.firmware_model import tracking
+from st_emulator.firmware_model import verification
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.geometry import CameraGeometry
 from st_emulator.firmware_model.image.spots import Spots, WindowSpots
 from st_emulator.firmware_model.tracking import (
     TrackingParameters,
     TrackingPlan,
-    Verification,
     plan_windows,
-    verify_by_pivot,
 )
+from st_emulator.firmware_model.verification import Verification, verify_by_pivot
 from tools.arm_timing.machine import ArmMachine
 from tools.calibration.compiler import KERNELS
 from tools.calibration.steps import tracking as binding
@@ -449,5 +448,5 @@ def test_the_python_verification_has_the_parts_of_its_twin() -> None:
     )
     assert parts == ["chord_square", "chord_bounds", "forget", "try_pivot", "st_verify_by_pivot"]
     kernels = [f"_{name}" for name in parts[:-1]] + ["_verify_kernel"]
-    lines = [getattr(tracking, name).py_func.__code__.co_firstlineno for name in kernels]
+    lines = [getattr(verification, name).py_func.__code__.co_firstlineno for name in kernels]
     assert lines == sorted(lines)

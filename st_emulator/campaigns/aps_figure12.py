@@ -236,7 +236,8 @@ def look(profile_json: str, seed: int, n: int, cell: Cell) -> Look:
     axis = np.array([math.sin(beta) * math.cos(around), math.sin(beta) * math.sin(around), math.cos(beta)])
     rate = math.radians(cell.rate_deg_s) * axis
     trajectory = ConstantRateTrajectory(attitude_of(cell.number, n), rate)
-    index = int(np.random.default_rng([seed, cell.number, round(10 * cell.rate_deg_s)]).integers(2**31))
+    rng = np.random.default_rng([seed, cell.number, round(10 * cell.rate_deg_s)])
+    index = int(rng.integers(2**31))
     counted = []
     for scene in (bench.noisy, bench.quiet):
         scene.trajectory = trajectory

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,6 +42,7 @@ from ..world.scene import RenderedFrame, SceneRenderer
 from ..world.stars import StarField, star_field
 from ..world.time_scales import julian_year
 from ..world.trajectory import ConstantRateTrajectory
+from ..world.windows import put_windows
 from .aps_centroids import CentroidErrors, PaperWay, centroid_errors, paper_configuration
 from .bench import error_arcsec, start_tai_ns, with_section
 
@@ -136,23 +136,8 @@ class Bench:
         box = frame.light.box
         flat, offsets = frame.windows(box)
         self._canvas[...] = self._backgrounds[frame.frame_index % BACKGROUNDS]
-        _put_windows(self._canvas, box, flat, offsets)
+        put_windows(self._canvas, box, flat, offsets)
         return self._canvas
-
-
-@numba.njit(nogil=True)
-def _put_windows(
-    image: NDArray[np.uint16],
-    rects: NDArray[np.int32],
-    flat: NDArray[np.uint16],
-    offsets: NDArray[np.int64],
-) -> None:
-    for number in range(len(rects)):
-        place = offsets[number]
-        for y in range(rects[number, 1], rects[number, 3]):
-            for x in range(rects[number, 0], rects[number, 2]):
-                image[y, x] = flat[place]
-                place += 1
 
 
 def _without_stars(field: StarField) -> StarField:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -35,3 +36,19 @@ def cut_windows(image: U16, rects: ArrayLike) -> tuple[U16, NDArray[np.int64]]:
     for (x0, y0, x1, y1), at, end in zip(checked, offsets[:-1], offsets[1:], strict=True):
         flat[at:end] = image[y0:y1, x0:x1].ravel()
     return flat, offsets
+
+
+@numba.njit(nogil=True)
+def put_windows(
+    image: NDArray[np.uint16],
+    rects: NDArray[np.int32],
+    flat: NDArray[np.uint16],
+    offsets: NDArray[np.int64],
+) -> None:
+    """The pixels of windows (``cut_windows``) at their places in an image, which is changed."""
+    for number in range(len(rects)):
+        place = offsets[number]
+        for y in range(rects[number, 1], rects[number, 3]):
+            for x in range(rects[number, 0], rects[number, 2]):
+                image[y, x] = flat[place]
+                place += 1

@@ -12,7 +12,8 @@ from st_emulator.firmware_model.catalogue.star_catalogue import StarCatalogue
 from st_emulator.firmware_model.frame_trace import StepRecord
 from st_emulator.firmware_model.geometry import CameraGeometry
 from st_emulator.firmware_model.image.spots import WindowSpots
-from st_emulator.firmware_model.tracking import TrackingParameters, TrackingPlan, Verification
+from st_emulator.firmware_model.tracking import TrackingParameters, TrackingPlan
+from st_emulator.firmware_model.verification import Verification
 from tools.arm_timing.machine import ArmMachine, Call
 from tools.calibration.steps.attitude import place_camera
 from tools.calibration.steps.detection import packed_spots
@@ -160,7 +161,7 @@ def run_verification(
     catalogue: StarCatalogue,
     parameters: TrackingParameters,
 ) -> tuple[Verification, Call]:
-    """``st_verify_by_pivot`` for the arguments of ``tracking.verify_by_pivot``."""
+    """``st_verify_by_pivot`` for the arguments of ``verification.verify_by_pivot``."""
     stars, windows, spots = len(plan.star), len(plan.rects), len(found)
     planned = place_struct(
         machine,
