@@ -197,7 +197,11 @@ def test_spans_of_modes() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("unit", ["aps_rs", "iris"])
 def test_a_short_real_demo(unit: str, tmp_path: Path) -> None:
-    """The sigmas are not judged here: so short a turn starts at 2.5 deg/s^2, of which no unit knows."""
+    """The sigmas are not judged here: so short a turn starts at 2.5 deg/s^2, of which no unit knows.
+
+    Nor, where the computer was so busy that frames in real time fell out, when the unit tracks again:
+    test_tumbling_over_the_wire has that in virtual time.
+    """
     arguments = ("demo", "--unit", unit, "--seconds", "14", "--out", str(tmp_path))
     run = subprocess.run(
         [sys.executable, "-m", "st_emulator", *arguments, "--json", str(tmp_path / "out.json")],
@@ -208,7 +212,16 @@ def test_a_short_real_demo(unit: str, tmp_path: Path) -> None:
     )
     figures = json.loads((tmp_path / "out.json").read_text())
     failing = {check["name"] for check in figures["checks"] if not check["holds"]}
-    assert failing <= {"rate_components_within_3_sigma"}, run.stdout + run.stderr
+    allowed = {"rate_components_within_3_sigma"}
+    period_s = load_unit(unit).timing.frame_period_ms / 1000
+    if figures["frames"] < 0.9 * 10.0 / period_s:
+        allowed |= {
+            "tracking_again_s",
+            "tracking_rate_only_tracking",
+            "lost_in_space_s",
+            "turn_with_rate_share",
+        }
+    assert failing <= allowed, run.stdout + run.stderr
     assert run.returncode == (1 if failing else 0)
     assert figures["problem"] is None
     assert figures["frames_rate_only"] > 10
