@@ -252,7 +252,7 @@ class FlowSettings:
 
     weighted: each shift weighs by its expected errors along itself and across, in REWEIGHTINGS passes; else
     all weigh alike (F). predicted: the search is round where the last rate puts the stars, as long as its
-    errors are below most_sigma_px of shift; else every shift is tried (F). least_error_px: of the best centroid.
+    errors are below most_sigma_px of shift; else every shift is tried (F). least_error_px: of a centroid.
     ASSUMED defaults: measured against F's way in the campaign iris-tables, they are the better ones; 0.14 px
     and not 0.1, which the centroids are, keeps 99 % of the rates of turns to 5 deg/s within three sigma.
     """
