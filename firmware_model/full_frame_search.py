@@ -122,10 +122,8 @@ def _find_moving(
     stars = np.arange(len(motion.spots), dtype=np.int32) if motion.fused is None else motion.fused
     stars = stars[: configuration.max_spots]
     outcome = identify_spots(motion.spots, stars, configuration, tables, velocity, log)
-    stars_known = TrackedStars(
-        context.frame_index, context.t_mid_ns, outcome.stars.row, now.spots.take(outcome.stars.spot)
-    )
-    return replace(outcome, kept=kept, tracked=stars_known, star_rate=rate, still_assumed=still_assumed)
+    known = _known_stars(outcome, now.spots, context)
+    return replace(outcome, kept=kept, tracked=known, star_rate=rate, still_assumed=still_assumed)
 
 
 def _find_flowing(
@@ -169,10 +167,13 @@ def _find_flowing(
         return SearchOutcome(refused, spots, kept=kept, star_rate=rate)
     stars = np.arange(min(len(spots), configuration.max_spots), dtype=np.int32)
     outcome = identify_spots(spots, stars, configuration, tables, velocity, log)
-    stars_known = TrackedStars(
-        context.frame_index, context.t_mid_ns, outcome.stars.row, spots.take(outcome.stars.spot)
-    )
-    return replace(outcome, kept=kept, tracked=stars_known, star_rate=rate)
+    return replace(outcome, kept=kept, tracked=_known_stars(outcome, spots, context), star_rate=rate)
+
+
+def _known_stars(outcome: SearchOutcome, spots: Spots, context: FrameContext) -> TrackedStars:
+    """The identified stars where the image shows them, for the rate of the first frame of tracking."""
+    row, spot = outcome.stars.row, outcome.stars.spot
+    return TrackedStars(context.frame_index, context.t_mid_ns, row, spots.take(spot))
 
 
 def star_motion_of(

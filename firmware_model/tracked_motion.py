@@ -21,6 +21,11 @@ __all__ = ["at_frame_time", "tracked_stars", "window_rate"]
 FloatArray = npt.NDArray[np.float64]
 
 
+def _timing(context: FrameContext, configuration: FirmwareConfiguration, interval_ns: int) -> RowTiming:
+    exposure_s, rows = context.exposure_ns * 1e-9, configuration.geometry.height_px
+    return RowTiming(context.row_time_s, exposure_s, interval_ns * 1e-9, rows)
+
+
 def tracked_stars(
     found: WindowSpots, plan: TrackingPlan, context: FrameContext, configuration: FirmwareConfiguration
 ) -> TrackedStars | None:
@@ -46,9 +51,7 @@ def window_rate(
     interval_ns = context.t_mid_ns - before.t_mid_ns
     if not 0 < interval_ns <= configuration.solved_validity_ns:
         return None
-    interval_s = interval_ns * 1e-9
     geometry = configuration.geometry
-    timing = RowTiming(context.row_time_s, context.exposure_ns * 1e-9, interval_s, geometry.height_px)
     return log.run(
         "window_rate",
         rate_of_windows,
@@ -56,7 +59,7 @@ def window_rate(
         star=plan.star,
         window=plan.window,
         found=found,
-        timing=timing,
+        timing=_timing(context, configuration, interval_ns),
         geometry=geometry,
         centroid_error=configuration.centroid_error,
         tolerance_px=parameters.tolerance_px,
@@ -80,10 +83,7 @@ def at_frame_time(
     if parameters is None or parameters.compensation == "none" or context.row_time_s == 0.0:
         return found
     geometry = configuration.geometry
-    interval_s = (context.t_mid_ns - state.t_ns) * 1e-9
-    if state.tracked is not None:
-        interval_s = (context.t_mid_ns - state.tracked.t_mid_ns) * 1e-9
-    timing = RowTiming(context.row_time_s, context.exposure_ns * 1e-9, interval_s, geometry.height_px)
+    since_ns = state.t_ns if state.tracked is None else state.tracked.t_mid_ns
     change = np.zeros(3)
     if measured is not None:
         rate: FloatArray | None = measured.rate_rad_s
@@ -99,7 +99,7 @@ def at_frame_time(
         x_px=found.spots.x_px,
         y_px=found.spots.y_px,
         rate_rad_s=rate,
-        timing=timing,
+        timing=_timing(context, configuration, context.t_mid_ns - since_ns),
         geometry=geometry,
         least_speed_px_s=parameters.least_speed_px_s,
         change_rad_s2=change,

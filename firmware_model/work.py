@@ -96,11 +96,7 @@ _DEFINITIONS: Final[tuple[tuple[str, str, str] | tuple[str, str, str, bool], ...
     ("energy_tables", "centroid", "table of clusters whose own sums are taken for centroids, M (1)-(2)"),
     ("energies", "centroid", "such a cluster measured: two quotients, the logarithm of its magnitude"),
     ("compensations", "centroid", "compensation of a rolling shutter begun: its code is in no cache"),
-    (
-        "spots_compensated",
-        "centroid",
-        "spot whose own velocity is compared with the least compensated",
-    ),
+    ("spots_compensated", "centroid", "spot whose own velocity is compared with the least compensated"),
     ("spots_moved", "centroid", "spot brought to the frame's time by its own velocity"),
     ("spots_turned", "centroid", "spot brought to the frame's time by the rate of all stars"),
     ("spots_sorted", "centroid", "comparison and move when ordering spots by brightness, n log2 n"),

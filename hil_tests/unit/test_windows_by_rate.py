@@ -96,3 +96,10 @@ def test_the_attitude_ahead_is_turned_by_the_rate() -> None:
 def test_a_unit_that_measures_no_rate_is_told() -> None:
     with pytest.raises(ConfigurationError, match=r"unit\.toml: .*windows_by_rate.*\[rate\]"):
         unit("roja1", True)
+
+
+@pytest.mark.parametrize("value", ['"no"', "0", '"false"'])
+def test_a_switch_is_true_or_false(value: str) -> None:
+    text = unit_text("aps_rs")[1].replace("max_windows =", f"windows_by_rate = {value}\nmax_windows =")
+    with pytest.raises(ConfigurationError, match=r"tracking\.windows_by_rate: found .*; allowed is true or"):
+        parse_unit(text, "unit.toml")

@@ -48,15 +48,11 @@ def centroid_tables(
                 key = f"{title}, {label}, {rate} deg/s"
                 field = f"compensated_{name}"
                 unit = _spread(runs, lambda run: run.unit.fused, field)
-                theirs = [
-                    _spread(runs, lambda run: run.paper.recognised, field),
-                    _spread(runs, lambda run: run.paper.fused, field),
-                ]
+                theirs = _papers_way(runs, field)
                 kept[key] = {
                     "paper": paper,
                     "unit": _plain(unit),
-                    "papers_way_recognised": _plain(theirs[0]),
-                    "papers_way": _plain(theirs[1]),
+                    **_papers_figures(theirs),
                 }
                 checks.append(check(key, None if unit is None else unit.std, "<=", paper[1], "px"))
                 rows.append((label, f"{rate}", *_of_paper(paper), *_all_of(unit), *map(_std, theirs)))
@@ -86,16 +82,12 @@ def _not_compensated(
             key, field = f"{_PLAIN}, {label}, {rate} deg/s", f"plain_{name}"
             named = _spread(runs, lambda run: run.unit.recognised, field)
             every = _spread(runs, lambda run: run.unit.fused, field)
-            theirs = [
-                _spread(runs, lambda run: run.paper.recognised, field),
-                _spread(runs, lambda run: run.paper.fused, field),
-            ]
+            theirs = _papers_way(runs, field)
             kept[key] = {
                 "paper": paper,
                 "unit_recognised": _plain(named),
                 "unit": _plain(every),
-                "papers_way_recognised": _plain(theirs[0]),
-                "papers_way": _plain(theirs[1]),
+                **_papers_figures(theirs),
             }
             for who, found in (("recognised", named), ("all fused", every)):
                 off = None if found is None else _least_off(found, paper[1])
@@ -188,6 +180,16 @@ def _astray(by_key: RUNS_OF) -> list[dict[str, Any]]:
 def _spread(runs: Sequence[tuple[Case, Run]], pick: Callable[[Run], AxisErrors], field: str) -> Spread | None:
     moments: list[tuple[int, Moments]] = [(case.attitude, getattr(pick(run), field)) for case, run in runs]
     return Spread.of(moments)
+
+
+def _papers_way(runs: Sequence[tuple[Case, Run]], field: str) -> tuple[Spread | None, Spread | None]:
+    """By M's own way: of the stars that were recognised, and of all fused ones."""
+    recognised = _spread(runs, lambda run: run.paper.recognised, field)
+    return recognised, _spread(runs, lambda run: run.paper.fused, field)
+
+
+def _papers_figures(found: tuple[Spread | None, Spread | None]) -> dict[str, Any]:
+    return {"papers_way_recognised": _plain(found[0]), "papers_way": _plain(found[1])}
 
 
 def _plain(found: Spread | None) -> dict[str, Any] | None:

@@ -180,7 +180,7 @@ class Tracking(Section):
     min_stars: Annotated[int, Field(ge=2, le=20)]
     max_missed: Annotated[int, Field(ge=0, le=20)]
     max_windows: Annotated[int, Field(ge=3, le=60)]
-    windows_by_rate: bool = False
+    windows_by_rate: Switch = False
 
 
 class Rate(Section):

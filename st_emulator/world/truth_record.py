@@ -32,12 +32,13 @@ class TruthRecord:
     """What is true of one frame; it goes to the journal of truth, never to the firmware.
 
     Times in virtual ns; q_icrs_to_sensor [x, y, z, w] and rate_rad_s (sensor axes, relative to ICRS) at
-    mid-exposure; the rate that a unit reports is the mean since the frame before: the turn between the two
-    q_icrs_to_sensor over the time between their exposure_mid_ns. ra_deg, dec_deg, roll_deg the same attitude;
-    sub_steps of the exposure's path; bodies: of the Sun, Moon and Earth in the sky angle_deg (boresight to
-    centre; Earth: to limb) and stray_electrons_s at the boresight; position_km, velocity_km_s: geocentric, or
-    None; stars: brightest first; false_spots
+    mid-exposure; ra_deg, dec_deg, roll_deg the same attitude; sub_steps of the exposure's path; bodies: of
+    the Sun, Moon and Earth in the sky angle_deg (boresight to centre; Earth: to limb) and stray_electrons_s
+    at the boresight; position_km, velocity_km_s: geocentric, or None; stars: brightest first; false_spots
     (x_px, y_px, magnitude).
+
+    The rate that a unit reports is the mean since the frame before: the turn between the two
+    q_icrs_to_sensor over the time between their exposure_mid_ns.
     """
 
     frame_index: int
