@@ -36,6 +36,10 @@ EXPECTED_JERK_RAD_S3 = math.radians(0.75)
 # ASSUMED: a change counts where chance gives one as large in 0.27 % of frames (chi^2 of three axes), so that
 # the places of the stars are not moved by noise.
 SIGNIFICANT_CHANGE = 14.156
+# ASSUMED: of two or three pairs that fit one rate worse than chance lets them (chi^2 of one and three degrees,
+# 0.27 % of frames) one is of two stars, and which cannot be told: such a rate was off by 10 of its sigmas, as
+# a covariance that is scaled by so few residuals says little.
+WORST_OF_TWO, WORST_OF_THREE = 9.0, 14.156
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,8 @@ def rate_of_pairs(
     The pair that fits worst (most sigmas off) is dropped while it is over ``tolerance_rad`` and over 3 sigma
     on either axis. ASSUMED: at most a third; more, and the rest is not to be trusted either.
     Where chi^2 is over its degrees of freedom the covariance is scaled by it.
-    None: fewer than ``min_stars`` (at least 2) fit, or they all lie in one direction.
+    None: fewer than ``min_stars`` (at least 2) fit, they all lie in one direction, or two or three are all
+        that is left and contradict each other.
     """
     count = len(now)
     rate, change, covariance = np.empty(3), np.empty(3), np.empty((3, 3))
@@ -197,6 +202,8 @@ def _rate_kernel(
         left -= 1
         if left < least:
             return False, 0.0
+    if (left == 2 and chi_square > WORST_OF_TWO) or (left == 3 and chi_square > WORST_OF_THREE):
+        return False, 0.0
     # p is tan(angle / 2) along the axis
     size = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
     factor = (2.0 * math.atan(size) / size if size > 1e-12 else 2.0) / mean_s

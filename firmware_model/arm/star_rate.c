@@ -10,6 +10,8 @@
 #define EXPECTED_CHANGE 0.017453292519943295 /* rad/s^2: 1 deg/s^2 */
 #define EXPECTED_JERK 0.01308996938995747 /* rad/s^3: 0.75 deg/s^3 */
 #define SIGNIFICANT_CHANGE 14.156
+#define WORST_OF_TWO 9.0
+#define WORST_OF_THREE 14.156
 #define ROWS 6 /* of a star's two equations, before what was seen */
 
 static double floored(double flux)
@@ -255,6 +257,8 @@ int32_t st_star_rate(const double *before, const double *now, const double *inte
         if (left < least)
             return 0;
     }
+    if ((left == 2 && chi_square > WORST_OF_TWO) || (left == 3 && chi_square > WORST_OF_THREE))
+        return 0;
     double size = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
     double factor = (size > 1e-12 ? 2.0 * atan(size) / size : 2.0) / mean_s;
     double scale = 4.0 / (mean_s * mean_s);

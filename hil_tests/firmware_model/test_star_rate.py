@@ -203,3 +203,14 @@ def test_a_mean_place_of_an_exposure_is_brought_to_its_middle() -> None:
     right = np.abs(turned_later(*args, 0.2)[0] - place(since_s)).max()
     assert right < 0.05 * PIXEL
     assert right < 0.5 * wrong
+
+
+@pytest.mark.parametrize("stars", [2, 3])
+@pytest.mark.parametrize(("off_px", "given"), [(0.0, True), (0.2, True), (1.2, False)])
+def test_few_pairs_that_contradict_each_other_give_no_rate(stars: int, off_px: float, given: bool) -> None:
+    """One is another star, and which cannot be told; within their errors they may differ."""
+    rng = np.random.default_rng(stars)
+    before, after, spans = scene(rng, np.radians([0.0, 3.0, 0.0]), stars, EXPOSURE_S)
+    after[0] += off_px * PIXEL * np.cross(before[0], [0.0, 1.0, 0.0])
+    after[0] /= np.linalg.norm(after[0])
+    assert (rate_of(before, after, spans) is not None) == given

@@ -7,7 +7,9 @@ from rich.console import Console
 
 from st_emulator.campaigns.campaign import CampaignRequest, CampaignResult
 from st_emulator.campaigns.registry import campaigns
+from st_emulator.campaigns.tracking_rate import turn
 from st_emulator.campaigns.workers import Progress, Workers
+from st_emulator.firmware_model.reasons import Reason
 from st_emulator.units.profile import load_unit
 
 
@@ -37,6 +39,13 @@ def test_tracking_holds_at_the_largest_rate_and_is_lost_over_it(unit: str) -> No
     figures = campaign("tracking-rate", unit, 26).figures
     assert (figures["held_at_rate"], figures["lost_over_rate"], figures["back_in_time"]) == (26, 26, 26)
     assert figures["worst_valid_error_px"] < 2.0
+
+
+def test_a_rate_over_the_windows_is_told_where_they_still_hold_stars() -> None:
+    """Direction 20: at 1.5 times the rate enough of the stars stay in their windows for right attitudes."""
+    outcome = turn(load_unit("aps_rs"), 1, 20)
+    assert outcome.lost
+    assert Reason(outcome.reasons) & Reason.RATE_TOO_HIGH
 
 
 def test_centroids() -> None:
