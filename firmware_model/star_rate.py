@@ -36,9 +36,9 @@ EXPECTED_JERK_RAD_S3 = math.radians(0.75)
 # ASSUMED: a change counts where chance gives one as large in 0.27 % of frames (chi^2 of three axes), so that
 # the places of the stars are not moved by noise.
 SIGNIFICANT_CHANGE = 14.156
-# ASSUMED: of two or three pairs that fit one rate worse than chance lets them (chi^2 of one and three degrees,
-# 0.27 % of frames) one is of two stars, and which cannot be told: such a rate was off by 10 of its sigmas, as
-# a covariance that is scaled by so few residuals says little.
+# ASSUMED: of two or three pairs that fit one rate worse than chance lets them (chi^2 of one and three
+# degrees, 0.27 % of frames) one is of two stars, and which cannot be told: such a rate was off by 10 of its
+# sigmas, as a covariance that is scaled by so few residuals says little.
 WORST_OF_TWO, WORST_OF_THREE = 9.0, 14.156
 
 
