@@ -199,8 +199,8 @@ def test_spans_of_modes() -> None:
 def test_a_short_real_demo(unit: str, tmp_path: Path) -> None:
     """The sigmas are not judged here: so short a turn starts at 2.5 deg/s^2, of which no unit knows.
 
-    Nor, where the computer was so busy that frames in real time fell out, when the unit tracks again:
-    test_tumbling_over_the_wire has that in virtual time.
+    Nor, where the computer was so busy that frames in real time fell out, what modes the others show:
+    test_tumbling_over_the_wire has them in virtual time.
     """
     arguments = ("demo", "--unit", unit, "--seconds", "14", "--out", str(tmp_path))
     run = subprocess.run(
@@ -212,18 +212,12 @@ def test_a_short_real_demo(unit: str, tmp_path: Path) -> None:
     )
     figures = json.loads((tmp_path / "out.json").read_text())
     failing = {check["name"] for check in figures["checks"] if not check["holds"]}
-    allowed = {"rates_within_3_sigma"}
-    period_s = load_unit(unit).timing.frame_period_ms / 1000
-    if figures["frames"] < 0.9 * 10.0 / period_s:
-        allowed |= {
-            "tracking_again_s",
-            "tracking_rate_only_tracking",
-            "lost_in_space_s",
-            "turn_with_rate_share",
-        }
-    assert failing <= allowed, run.stdout + run.stderr
     assert run.returncode == (1 if failing else 0)
     assert figures["problem"] is None
-    assert figures["frames_rate_only"] > 10
-    assert figures["fastest_measured_deg_s"] == pytest.approx(5.0, abs=0.2)
+    whatever_is_seen = {"crc_errors", "sequence_gaps", "telecommands_verified", "invalid_without_reason"}
+    assert not failing & whatever_is_seen, run.stdout + run.stderr
+    if figures["frames"] >= 0.9 * 10.0 / (load_unit(unit).timing.frame_period_ms / 1000):
+        assert failing <= {"rates_within_3_sigma"}, run.stdout + run.stderr
+        assert figures["frames_rate_only"] > 10
+        assert figures["fastest_measured_deg_s"] == pytest.approx(5.0, abs=0.2)
     assert (tmp_path / "demo.png").stat().st_size > 50_000
